@@ -7,17 +7,11 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-
 PICTURES = {
-    "error_rates": [],
-    "own_receiver": ["own_receiver.png"],
-    "own_code": ["own_code.png"],
-    "eight_by_eight": ["eight_by_eight.csv", "eight_by_eight.png"],
-    "any_panel": ["any_panel.png"],
+    "error_rates": [], "own_receiver": ["own_receiver.png"], "own_code": ["own_code.png"],
+    "eight_by_eight": ["eight_by_eight.csv", "eight_by_eight.png"], "any_panel": ["any_panel.png"],
     "data_set": ["data_set", "data_set.png"],
-}
-
-
+}  # fmt: skip
 SERVED = {"fake_camera"}
 """Examples that serve frames until stopped; tests/cli/test_live_aravis.py receives these frames."""
 

@@ -19,9 +19,7 @@ from waiting import HANG_S
 from heliograph.media.slots import SlotForm, write_slots
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "rp2040"
-
-CYCLES = 3125
-"""PIO cycles in 250 us at 125 MHz / 10."""
+CYCLES = 3125  # PIO cycles in 250 us at 125 MHz / 10
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +66,7 @@ def test_bits_come_in_order_and_slots_in_time(simulate: ModuleType, program: Any
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("dma_cycles", "with_live_limits"), [(1, True), (90, True), (110, False)])
-def test_a_slow_dma_shifts_slots_but_no_bits(
-    simulate: ModuleType, program: Any, dma_cycles: int, with_live_limits: bool
-) -> None:
+def test_slow_dma_shifts_no_bits(simulate: ModuleType, program: Any, dma_cycles: int, with_live_limits: bool) -> None:
     """A slot has 32 bytes and 3125 cycles, 97 per byte; slower DMA delays slots."""
     light = slots(12)
     shown = simulate.shown_by(simulate.run(program, sent(light), dma_cycles))
@@ -80,8 +76,7 @@ def test_a_slow_dma_shifts_slots_but_no_bits(
 
 @pytest.mark.slow
 def test_an_end_of_data_shows_no_half_slot(simulate: ModuleType, program: Any) -> None:
-    light = slots(3)
-    shown = simulate.shown_by(simulate.run(program, sent(light)[:-5]))
+    shown = simulate.shown_by(simulate.run(program, sent(slots(3))[:-5]))
     assert len(shown.slots) == 2
     assert shown.stalls == CYCLES, "the machine waits where bits are missing, and main.c turns the array off"
 
@@ -120,12 +115,9 @@ typedef struct { uint32_t clkdiv, execctrl, shiftctrl, pinctrl; } pio_sm_config;
 typedef struct pio_program { const uint16_t *instructions; uint8_t length; int8_t origin; } pio_program_t;
 enum pio_fifo_join { PIO_FIFO_JOIN_NONE, PIO_FIFO_JOIN_TX, PIO_FIFO_JOIN_RX };
 #define PIO_FDEBUG_TXSTALL_LSB 24
-int pio_add_program(PIO, const pio_program_t *);
-int pio_claim_unused_sm(PIO, bool required);
-uint pio_get_dreq(PIO, uint sm, bool is_tx);
-void pio_gpio_init(PIO, uint pin);
-void pio_sm_init(PIO, uint sm, uint initial_pc, const pio_sm_config *);
-bool pio_sm_is_tx_fifo_full(PIO, uint sm);
+int pio_add_program(PIO, const pio_program_t *); int pio_claim_unused_sm(PIO, bool required);
+uint pio_get_dreq(PIO, uint sm, bool is_tx); void pio_gpio_init(PIO, uint pin);
+void pio_sm_init(PIO, uint sm, uint initial_pc, const pio_sm_config *); bool pio_sm_is_tx_fifo_full(PIO, uint sm);
 void pio_sm_set_consecutive_pindirs(PIO, uint sm, uint pin_base, uint pin_count, bool is_out);
 void pio_sm_set_enabled(PIO, uint sm, bool enabled);
 void sm_config_set_clkdiv_int_frac(pio_sm_config *, uint16_t div_int, uint8_t div_frac);
@@ -149,12 +141,8 @@ void dma_channel_configure(uint, const dma_channel_config *, volatile void *to, 
                            bool trigger);
 void dma_channel_start(uint channel);
 #define GPIO_OUT true
-void gpio_init(uint);
-void gpio_put(uint, bool);
-void gpio_set_dir(uint, bool);
-bool set_sys_clock_khz(uint32_t, bool required);
-void sleep_us(uint64_t);
-void tight_loop_contents(void);
+void gpio_init(uint); void gpio_put(uint, bool); void gpio_set_dir(uint, bool);
+bool set_sys_clock_khz(uint32_t, bool required); void sleep_us(uint64_t); void tight_loop_contents(void);
 """
 """Pico SDK 2 declarations for main.c."""
 
@@ -189,9 +177,7 @@ def test_the_program_is_c(tmp_path: Path, slot_ns: int) -> None:
 @pytest.mark.parametrize(
     ("slot_ns", "side", "says"), [(250_001, 16, "no multiple of 25 us"), (250_000, 8, "counts 256 bits")]
 )
-def test_patterns_that_do_not_fit_are_refused_by_the_compiler(
-    tmp_path: Path, slot_ns: int, side: int, says: str
-) -> None:
+def test_patterns_that_do_not_fit_are_compiler_errors(tmp_path: Path, slot_ns: int, side: int, says: str) -> None:
     done = syntax(tmp_path, slot_ns, side)
     assert done.returncode != 0
     assert says in done.stderr

@@ -8,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from heliograph.base.errors import SettingsError
 from heliograph.channel import ChannelSettings, Footage, film
 from heliograph.channel.background import Clip, cover_size, draw_scene, draw_street, image_motion, warp
 from heliograph.channel.scene import CameraPose, rotation
@@ -25,8 +24,7 @@ def noise(seed: int, size: tuple[int, int] = SIZE) -> NDArray[np.uint8]:
     ("turn", "shift"), [([[1, -4e-3], [4e-3, 1]], (18.2, 9.9)), ([[0.7, 0.01], [-0.01, 0.7]], (-5.0, 60.0))]
 )
 def test_warp_is_bilinear_interpolation(turn: list[list[float]], shift: tuple[float, float]) -> None:
-    image = noise(1)
-    affine = np.eye(3)
+    image, affine = noise(1), np.eye(3)
     affine[:2, :2], affine[:2, 2], affine[2, 2] = turn, shift, 0.9 / 255
     light = np.empty((64, 100), np.float32)
     warp(light, (3, 5), image.astype(np.float32), affine)
@@ -37,8 +35,7 @@ def test_warp_is_bilinear_interpolation(turn: list[list[float]], shift: tuple[fl
 
 
 def test_background_moves_with_the_arrays() -> None:
-    # a distant point moves by K R K^-1, to first order the background shift
-    camera = ChannelSettings().camera
+    camera = ChannelSettings().camera  # a distant point moves by K R K^-1, to first order the background shift
     pitch, yaw, roll = 2e-3, -1e-3, 3e-3
     pose = CameraPose(*(np.array([v]) for v in (0.0, 0.0, pitch, yaw, roll)))
     affine = image_motion(pose, (0,), camera, (camera.height, camera.width), np.inf)
@@ -49,47 +46,31 @@ def test_background_moves_with_the_arrays() -> None:
         assert affine[:2] @ np.array([*point, 1]) == pytest.approx(exact[:2] / exact[2], abs=0.15)
 
 
-def test_clip_runs_forward_and_backward() -> None:
+def test_clip_runs_forward_and_backward_and_is_read_only_as_far_as_needed() -> None:
     images = [np.full((4, 8), k, np.uint8) for k in range(4)]
     clip = Clip(Footage(lambda: iter(images), 10.0), (4, 8))
     shown = [round(float(clip.at(t / 10 + 0.01)[0, 0])) for t in range(12)]
-    assert shown == [0, 1, 2, 3, 2, 1, 0, 1, 2, 3, 2, 1]
-    assert clip.at(0.125)[0, 0] == pytest.approx(1.25)
+    assert (shown, clip.at(0.125)[0, 0]) == ([0, 1, 2, 3, 2, 1, 0, 1, 2, 3, 2, 1], pytest.approx(1.25))
     assert clip.at(0.425)[0, 0] == pytest.approx(1.75)
+    frames = iter([noise(k) for k in range(100)])
+    Clip(Footage(lambda: frames, 10.0), SIZE).at(0.35)
+    assert len(list(frames)) == 95
+    assert np.array_equal(Clip(Footage(lambda: iter([noise(0)]), 10.0), SIZE).at(3.14), noise(0))
 
 
-def test_clip_is_read_only_as_far_as_needed() -> None:
-    read = []
-
-    def frames() -> Iterator[NDArray[np.uint8]]:
-        for k in range(100):
-            read.append(k)
-            yield np.full((4, 8), k, np.uint8)
-
-    Clip(Footage(frames, 10.0), (4, 8)).at(0.35)
-    assert len(read) == 5
-
-
-def test_single_image_stands_still() -> None:
-    clip = Clip(Footage(lambda: iter([noise(0)]), 10.0), SIZE)
-    assert np.array_equal(clip.at(3.14), noise(0))
-
-
-def test_broken_footage_is_refused() -> None:
-    with pytest.raises(SettingsError, match="no frames"):
-        Clip(Footage(lambda: iter(()), 10.0), SIZE).at(0)
-    with pytest.raises(SettingsError, match="gray uint8"):
-        cover_size(np.zeros((4, 4, 3), np.uint8), SIZE)
-    with pytest.raises(ValueError, match="rate above 0, not 0"):
-        Footage(lambda: iter(()), 0.0)
+@pytest.mark.parametrize(("shape", "rate_hz", "message"), [
+    ((0, 4, 4), 10.0, "no frames"), ((1, 4, 4, 3), 10.0, "gray uint8"), ((1, 4, 4), 0.0, "rate above 0, not 0"),
+])  # fmt: skip
+def test_broken_footage_is_refused(shape: tuple[int, ...], rate_hz: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Clip(Footage(lambda: iter(np.zeros(shape, np.uint8)), rate_hz), SIZE).at(0)
 
 
 def test_footage_covers_the_frame_without_distortion() -> None:
     frame = np.zeros((90, 160), np.uint8)
     frame[35:55, 70:90] = 255  # a square stays square
     scaled = cover_size(frame, (640, 1152)) > 128
-    assert scaled.shape == (640, 1152)
-    assert scaled.any(0).sum() == pytest.approx(scaled.any(1).sum(), abs=2)
+    assert (scaled.shape, scaled.any(0).sum()) == ((640, 1152), pytest.approx(scaled.any(1).sum(), abs=2))
 
 
 def test_drawn_scene_has_dark_and_bright_and_follows_the_seed() -> None:
@@ -106,8 +87,7 @@ def test_a_street_has_any_size_and_is_the_same_for_a_seed(size: tuple[int, int])
     assert day.shape == night.shape == size
     assert day.dtype == np.uint8
     assert night.mean() < 0.4 * day.mean()
-    # by day the sky is brighter than the road
-    middle = slice(size[1] // 2 - 2, size[1] // 2 + 2)
+    middle = slice(size[1] // 2 - 2, size[1] // 2 + 2)  # by day the sky is brighter than the road
     assert day[size[0] // 4, middle].mean() > day[-1, size[1] // 3]
     assert np.array_equal(day, draw_street(size, np.random.default_rng(2)))
     assert not np.array_equal(day, draw_street(size, np.random.default_rng(3)))
@@ -127,6 +107,5 @@ def test_real_footage_becomes_a_film(data: Path) -> None:
     lights = [iter([np.full((16, 16), 2, np.uint8)] * 60)]
     made = list(film(settings, lights, np.random.default_rng(0), pattern_period_s=1e-3, footage=Footage(frames, 25)))
     assert len(made) == 5
-    first = next(frames())
-    assert made[0][0].pixels.mean() == pytest.approx(first.mean(), rel=0.15)
+    assert made[0][0].pixels.mean() == pytest.approx(next(frames()).mean(), rel=0.15)
     assert made[0][0].pixels.std() > 20

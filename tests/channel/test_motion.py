@@ -34,8 +34,7 @@ def test_spectrum_of_the_road_is_iso_8608(road_class: str) -> None:
 
 def test_road_is_smooth_between_samples_and_repeats() -> None:
     road = road_profile("A", 100, np.random.default_rng(0))
-    length = road.size * STEP_M
-    way = np.linspace(0, 50, 999)
+    length, way = road.size * STEP_M, np.linspace(0, 50, 999)
     assert road_height(road, way + length) == pytest.approx(road_height(road, way), abs=1e-9)
     assert length >= 100
 
@@ -83,7 +82,7 @@ def test_pitch_rate_grows_with_the_road_class() -> None:
     assert 0.003 < rates[1] < 0.1  # rad/s, class B at 30 km/h
 
 
-def test_travel_integrates_the_speed() -> None:
+def test_travel_integrates_the_speed_of_settings_and_recordings() -> None:
     profile = ((1.0, 4.0), (3.0, 8.0), (5.0, 0.0))
     travel = Travel.of(ChannelSettings(speed_profile=profile))
     time = np.linspace(0, 7, 7001)
@@ -91,6 +90,10 @@ def test_travel_integrates_the_speed() -> None:
     assert travel.distance(time) == pytest.approx(summed, abs=1e-6)
     assert travel.distance(travel.time_of(17.5)) == pytest.approx(17.5)
     assert film_duration(ChannelSettings()) == pytest.approx(6.6)
+    t = np.arange(0, 10, 0.01)
+    recorded = ImuTrace.from_columns(t, t, t, t, 2 * t).speed_profile(2.5)
+    assert np.array(recorded) == pytest.approx(np.array([[0, 0], [2.5, 5], [5, 10], [7.5, 15]]))
+    assert film_duration(ChannelSettings(speed_profile=recorded, distance_m=40, stop_m=15)) == pytest.approx(5)
 
 
 def gyro(seconds: float, hz: float, rate: float) -> ImuTrace:
@@ -99,18 +102,13 @@ def gyro(seconds: float, hz: float, rate: float) -> ImuTrace:
     return ImuTrace.from_columns(t, zero, rate * np.sin(2 * np.pi * hz * t), zero, zero)
 
 
-def test_gyro_is_integrated_above_the_steering() -> None:
+def test_gyro_is_integrated_above_the_steering_without_jumps() -> None:
     time = np.linspace(10, 30, 5000)
     pitch = imu_shake(gyro(60, 5.0, 0.1), 0, 0, 40)(time)[:, 1]
-    expected = -0.1 / (2 * np.pi * 5) * np.cos(2 * np.pi * 5 * time)
-    assert pitch == pytest.approx(expected, abs=2e-5)
+    assert pitch == pytest.approx(-0.1 / (2 * np.pi * 5) * np.cos(2 * np.pi * 5 * time), abs=2e-5)
     slow = imu_shake(gyro(60, 0.03, 0.1), 0, 0, 40)(time)[:, 1]
     assert np.abs(slow).max() < 0.02 * 0.1 / (2 * np.pi * 0.03)
-
-
-def test_long_drive_has_no_jump_and_no_kink() -> None:
-    time = np.arange(0, 100, 1e-3)
-    pitch = imu_shake(gyro(20, 1.3, 0.1), 3, 0, 100)(time)[:, 1]
+    pitch = imu_shake(gyro(20, 1.3, 0.1), 3, 0, 100)(np.arange(0, 100, 1e-3))[:, 1]
     assert np.abs(np.diff(pitch)).max() < 0.15e-3
     assert np.abs(np.diff(pitch, 2)).max() < 6e-6
 
@@ -119,8 +117,7 @@ def test_long_drive_has_no_jump_and_no_kink() -> None:
 def test_recorded_trace_keeps_its_pitch_rate(data: Path) -> None:
     rows = np.loadtxt(data / "motion" / "car-imu.csv", delimiter=",", skiprows=1)
     trace = ImuTrace.from_columns(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 7])
-    time = np.arange(1, 50, 1e-3)
-    pitch = imu_shake(trace, 0, 0, 55)(time)[:, 1]
+    pitch = imu_shake(trace, 0, 0, 55)(np.arange(1, 50, 1e-3))[:, 1]
     per_hz, density = welch(np.diff(pitch) * 1e3, 1e3, nperseg=10_000)
     raw_hz, raw = welch(rows[:, 2], 104.2, nperseg=1042)
     for low, high in ((0.7, 2), (2, 5), (5, 15), (15, 30)):
@@ -128,13 +125,6 @@ def test_recorded_trace_keeps_its_pitch_rate(data: Path) -> None:
         made = np.sqrt(density[(per_hz >= low) & (per_hz < high)].sum() * per_hz[1])
         assert made == pytest.approx(rms, rel=0.1)
     assert 2917 * np.abs(np.diff(pitch)).max() < 1.2
-
-
-def test_recorded_speed_becomes_a_profile() -> None:
-    t = np.arange(0, 10, 0.01)
-    profile = ImuTrace.from_columns(t, t, t, t, 2 * t).speed_profile(2.5)
-    assert np.array(profile) == pytest.approx(np.array([[0, 0], [2.5, 5], [5, 10], [7.5, 15]]))
-    assert film_duration(ChannelSettings(speed_profile=profile, distance_m=40, stop_m=15)) == pytest.approx(5)
 
 
 def test_broken_trace_is_refused() -> None:

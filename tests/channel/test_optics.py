@@ -25,10 +25,9 @@ def shares(edges: Floats, centre: Floats, sigma: float) -> Floats:
     return np.diff(0.5 * (1 + erf((edges - centre[:, None]) / (sigma * np.sqrt(2)))), axis=1)
 
 
-def brute_force(
-    settings: ChannelSettings, one: Floats, eye: Floats, level: Floats, canvas: Canvas, over: int = 70
-) -> Floats:
+def brute_force(settings: ChannelSettings, one: Floats, eye: Floats, level: Floats, canvas: Canvas) -> Floats:
     """Reference for `add_array` at rest: each emitter as 0.79 over^2 points."""
+    over = 70
     emitter, camera = settings.emitter, settings.camera
     grid = (np.arange(over) + 0.5) / over * 2 - 1
     disc = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
@@ -62,10 +61,9 @@ def at_rest(level: Floats) -> tuple[Floats, Floats, Floats]:
 NEAREST = pytest.param(5, 5e-3, 25.0, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize(
-    ("distance_m", "share_of_peak", "tilt_deg"),
-    [NEAREST, (10, 2e-3, 0.0), (25, 6e-4, 25.0), (50, 3e-4, 0.0), (80, 1e-4, 25.0)],
-)
+@pytest.mark.parametrize(("distance_m", "share_of_peak", "tilt_deg"), [
+    NEAREST, (10, 2e-3, 0.0), (25, 6e-4, 25.0), (50, 3e-4, 0.0), (80, 1e-4, 25.0),
+])  # fmt: skip
 def test_leds_equal_brute_force(distance_m: float, share_of_peak: float, tilt_deg: float) -> None:
     settings = ChannelSettings(distance_m=distance_m, speed_m_s=0)
     turn: dict[str, Any] = {"yaw_deg": tilt_deg, "roll_deg": tilt_deg / 2, "pitch_deg": -tilt_deg}
@@ -113,8 +111,7 @@ def test_smear_equals_many_short_exposures(late_s: float) -> None:
 
 
 def test_lobe_halves_at_the_half_angle() -> None:
-    settings = ChannelSettings(distance_m=50)
-    lights = []
+    settings, lights = ChannelSettings(distance_m=50), []
     for angle in (0.0, 22.6):
         one, eye = view(settings, Placement(x_m=0, y_m=0, yaw_deg=angle))
         canvas = blank(one, 0.16)

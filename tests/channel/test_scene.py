@@ -17,25 +17,15 @@ ANGLES = st.tuples(*[st.floats(-7.0, 7.0)] * 3)
 SMALL_ANGLES = st.tuples(*[st.floats(-0.3, 0.3)] * 3)
 METRES = st.floats(-3.0, 3.0)
 DISTANCES = st.floats(15.0, 300.0)
-
 POSES = st.builds(
     lambda travelled, heave, turn: pose_of(travelled, heave, *turn), st.floats(0.0, 5.0), st.floats(-1, 1), SMALL_ANGLES
 )
 PLACEMENTS = st.builds(
-    Placement,
-    x_m=METRES,
-    y_m=METRES,
-    z_offset_m=METRES,
-    yaw_deg=st.floats(-70, 70),
-    pitch_deg=st.floats(-70, 70),
-    roll_deg=st.floats(-180, 180),
-    vx_m_s=METRES,
-    vy_m_s=METRES,
-    vz_m_s=METRES,
-)
-POINTS: st.SearchStrategy[Floats] = st.lists(st.tuples(*[st.floats(-0.5, 0.5)] * 2), min_size=1, max_size=4).map(
-    np.array
-)
+    Placement, x_m=METRES, y_m=METRES, z_offset_m=METRES, vx_m_s=METRES, vy_m_s=METRES, vz_m_s=METRES,
+    yaw_deg=st.floats(-70, 70), pitch_deg=st.floats(-70, 70), roll_deg=st.floats(-180, 180),
+)  # fmt: skip
+COORDINATES = st.tuples(*[st.floats(-0.5, 0.5)] * 2)
+POINTS: st.SearchStrategy[Floats] = st.lists(COORDINATES, min_size=1, max_size=4).map(np.array)
 
 
 def pose_of(travelled: float, heave: float, *turn: float) -> CameraPose:
@@ -56,18 +46,13 @@ def in_space(pose: CameraPose, placement: Placement, distance_m: float, points: 
     return centre + turn.apply(np.column_stack([points, np.zeros(len(points))])) - eye, turn
 
 
-def camera_turn(pose: CameraPose) -> Rotation:
-    return turned(pose.pitch_rad[0], pose.yaw_rad[0], pose.roll_rad[0])
-
-
 @examples(30)
 @given(angles=ANGLES)
 def test_a_rotation_is_yaw_after_pitch_after_roll(angles: tuple[float, float, float]) -> None:
     pitch, yaw, roll = angles
-    assert rotation(*angles) == pytest.approx(turned(*angles).as_matrix(), abs=1e-12)
-    assert rotation(0, yaw, 0) @ rotation(pitch, 0, 0) @ rotation(0, 0, roll) == pytest.approx(
-        rotation(*angles), abs=1e-12
-    )
+    found = pytest.approx(rotation(*angles), abs=1e-12)
+    assert turned(*angles).as_matrix() == found
+    assert rotation(0, yaw, 0) @ rotation(pitch, 0, 0) @ rotation(0, 0, roll) == found
 
 
 @examples(20)
@@ -76,11 +61,11 @@ def test_projection_is_a_pinholes(pose: CameraPose, placement: Placement, distan
     maps, eye = homography(pose, TIME, placement, distance_m, CAMERA)
     image, depth = project(maps, points)
     world, tilt = in_space(pose, placement, distance_m, points)
-    for k, (right, down, forward) in enumerate(camera_turn(pose).inv().apply(world)):
+    camera = turned(pose.pitch_rad[0], pose.yaw_rad[0], pose.roll_rad[0])
+    for k, (right, down, forward) in enumerate(camera.inv().apply(world)):
         x = CAMERA.focal_px * right / forward + (CAMERA.width - 1) / 2
         y = CAMERA.focal_px * down / forward + (CAMERA.height - 1) / 2
-        assert image[0, k] == pytest.approx([x, y], abs=1e-6)
-        assert depth[0, k] == pytest.approx(forward)
+        assert (image[0, k], depth[0, k]) == (pytest.approx([x, y], abs=1e-6), pytest.approx(forward))
     centre, _ = in_space(pose, placement, distance_m, np.zeros((1, 2)))
     assert eye[0] == pytest.approx(tilt.inv().apply(-centre[0]))
 

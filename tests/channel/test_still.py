@@ -38,15 +38,12 @@ def scene_of(**changes: Any) -> FilmScene:
     return FilmScene(settings, lightings, drive, paint)
 
 
-@pytest.mark.parametrize(
-    ("changes", "roi"),
-    [
-        ({"distance_m": 80.0}, None),
-        ({"distance_m": 20.0, "arrays": [FAULTS, {**HIDDEN, "x_m": 0.9}], "camera": {"start_s": 3e-4}}, 4),
-        ({"distance_m": 4.0, "arrays": [{"x_m": 0, "y_m": 0, "yaw_deg": 30.0, "pitch_deg": 20.0}]}, None),
-        ({"distance_m": 45.0, "arrays": [HIDDEN], "camera": {"psf": "halo"}, "background": {"kind": "synthetic"}}, 4),
-    ],
-)
+@pytest.mark.parametrize(("changes", "roi"), [
+    ({"distance_m": 80.0}, None),
+    ({"distance_m": 20.0, "arrays": [FAULTS, {**HIDDEN, "x_m": 0.9}], "camera": {"start_s": 3e-4}}, 4),
+    ({"distance_m": 4.0, "arrays": [{"x_m": 0, "y_m": 0, "yaw_deg": 30.0, "pitch_deg": 20.0}]}, None),
+    ({"distance_m": 45.0, "arrays": [HIDDEN], "camera": {"psf": "halo"}, "background": {"kind": "synthetic"}}, 4),
+])  # fmt: skip
 def test_sums_are_the_light_rendered_frame_by_frame(changes: dict[str, Any], roi: int | None) -> None:
     scene = scene_of(**changes)
     block = frame_block(scene, np.arange(4))
@@ -61,15 +58,10 @@ def test_sums_are_the_light_rendered_frame_by_frame(changes: dict[str, Any], roi
         assert np.ptp(exact.light) > 0.05
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"speed_m_s": 10.0, "distance_m": 60.0},
-        {"arrays": [{"vx_m_s": 1.0}]},
-        {"camera": {"row_time_s": 1e-6}},
-        {"arrays": [{"x_m": 0, "y_m": 0}, {"x_m": 0.05, "y_m": 0, "z_offset_m": 3.0}]},  # overlapping arrays
-    ],
-)
+@pytest.mark.parametrize("changes", [
+    {"speed_m_s": 10.0, "distance_m": 60.0}, {"arrays": [{"vx_m_s": 1.0}]}, {"camera": {"row_time_s": 1e-6}},
+    {"arrays": [{"x_m": 0, "y_m": 0}, {"x_m": 0.05, "y_m": 0, "z_offset_m": 3.0}]},  # overlapping arrays
+])  # fmt: skip
 def test_what_is_no_such_sum_is_rendered_frame_by_frame(changes: dict[str, Any]) -> None:
     scene = scene_of(**changes)
     block = frame_block(scene, np.arange(4))

@@ -26,9 +26,7 @@ def test_the_page_on_cameras_has_each_setting() -> None:
     assert named == {field.name for field in fields(CameraSettings)} - {"duration_s", "channel", "features"}
 
 
-ANCHORED_LEVELS = 3
-"""Heading levels with anchors on the site: `myst_heading_anchors` in docs/conf.py."""
-
+ANCHORED_LEVELS = 3  # heading levels with anchors on the site: `myst_heading_anchors` in docs/conf.py
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
 PAGES = [*sorted(DOCS.rglob("*.md")), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
 
@@ -63,7 +61,7 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
             assert anchor in anchors(there.read_text()), f"{page.name}: {target}#{anchor}"
 
 
-NOTEBOOKS = sorted((Path(__file__).parents[2] / "docs" / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

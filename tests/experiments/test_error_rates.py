@@ -27,9 +27,10 @@ from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
 
 NONE_LOST = Count(200, 0), Count(200, 0)
+Records = list[experiment.PacketRecord]
 
 
-def records(rate: float, count: int, rng: np.random.Generator) -> list[experiment.PacketRecord]:
+def records(rate: float, count: int, rng: np.random.Generator) -> Records:
     """Draw packets at 50 m to 60 m with overdispersed error rates."""
     out = []
     for z in np.linspace(50.1, 59.9, count):
@@ -39,54 +40,50 @@ def records(rate: float, count: int, rng: np.random.Generator) -> list[experimen
     return out
 
 
-@pytest.mark.parametrize(
-    ("seed", "factor", "packets", "verdicts", "verdict"),
-    [(0, 1.0, 200, {"alike"}, "holds"), (1, 1.9, 120, {"apart"}, "differs"), (2, 1.5, 4, {"open"}, "shown")],
-)
-def test_rates_are_alike_apart_or_open(
-    seed: int, factor: float, packets: int, verdicts: set[str], verdict: str
-) -> None:
+@pytest.mark.parametrize(("seed", "factor", "packets", "verdicts", "verdict"), [
+    (0, 1.0, 200, {"alike"}, "holds"), (1, 1.9, 120, {"apart"}, "differs"), (2, 1.5, 4, {"open"}, "shown"),
+])  # fmt: skip
+def test_rates_are_alike_or_apart(seed: int, factor: float, packets: int, verdicts: set[str], verdict: str) -> None:
     rng = np.random.default_rng(seed)
     found = experiment.compare(records(0.02 * factor, packets, rng), records(0.02, packets, rng), rng)
     assert {c.bin_m for c in found} <= {52.5, 57.5, None}
     assert len(found) == 9 or packets == 4
-    assert {c.verdict for c in found} == verdicts
+    assert ({c.verdict for c in found}, experiment.alike(found, *NONE_LOST).verdict) == (verdicts, verdict)
     assert verdict != "differs" or all(1.6 < c.ratio < 2.3 for c in found)
-    assert experiment.alike(found, *NONE_LOST).verdict == verdict
 
 
-def test_zero_packets_decide_no_claim() -> None:
-    assert experiment.compare([], [], np.random.default_rng(0)) == []
-    assert experiment.alike([], *NONE_LOST).verdict == "shown"
+@pytest.mark.parametrize(("p", "corrected"), [([0.01, 0.04, 0.03], [0.03, 0.06, 0.06]), ([0.5, 0.9], [1, 1]), ([], [])])
+def test_p_values_are_corrected_by_holms_method(p: list[float], corrected: list[float]) -> None:
+    assert experiment.holm(p) == pytest.approx(corrected)
 
 
-def test_false_alarms_are_rare() -> None:
-    """Equally distributed packets rarely differ significantly, despite large variation between packets."""
-    rng = np.random.default_rng(3)
-    alarms = [
-        c.verdict == "apart"
-        for _ in range(20)
-        for c in experiment.compare(records(0.01, 20, rng), records(0.01, 20, rng), rng)
-    ]
-    assert np.mean(alarms) < 0.02
+def pair(rate: float, count: int, seed: int) -> tuple[Records, Records, np.random.Generator]:
+    """Draw packets of two films with equal rates."""
+    rng = np.random.default_rng(seed)
+    return records(rate, count, rng), records(rate, count, rng), rng
 
 
-def test_lost_packets_count() -> None:
-    rng = np.random.default_rng(0)
-    found = experiment.compare(records(0.02, 200, rng), records(0.02, 200, rng), rng)
+def test_false_alarms_are_rare_despite_large_variation_between_packets() -> None:
+    compared = [experiment.compare(*pair(0.01, 20, seed)) for seed in range(20)]
+    assert np.mean([c.verdict == "apart" for found in compared for c in found]) < 0.02
+
+
+def test_lost_packets_count_and_zero_packets_decide_no_claim() -> None:
+    found = experiment.compare(*pair(0.02, 200, 0))
     worse = experiment.alike(found, Count(200, 20), Count(200, 2))
     assert worse.verdict == "differs"
     assert "20 of 200 driving, 2 of 200 at rest" in worse.ours
     assert "lost" in worse.why
-    assert experiment.alike(found, Count(200, 2), Count(200, 20)).verdict == "holds"
-    assert experiment.alike(found, Count(20, 1), Count(20, 0)).verdict == "shown"
-    assert experiment.alike(found, Count(), Count()).verdict == "shown"
+    for lost, verdict in (
+        ((Count(200, 2), Count(200, 20)), "holds"), ((Count(20, 1), Count(20, 0)), "shown"), ((Count(),) * 2, "shown")
+    ):  # fmt: skip
+        assert experiment.alike(found, *lost).verdict == verdict
+    assert experiment.compare([], [], np.random.default_rng(0)) == []
+    assert experiment.alike([], *NONE_LOST).verdict == "shown"
 
 
 def test_different_drives_widen_the_interval() -> None:
-    rng = np.random.default_rng(4)
-    drives = [k % 4 for k in range(200)]
-    one, other = records(0.02, 200, rng), records(0.02, 200, rng)
+    drives, (one, other, _) = [k % 4 for k in range(200)], pair(0.02, 200, 4)
     one = [
         replace(r, layers={n: replace(c, raw_errors=c.raw_errors * (k + 1) // 2) for n, c in r.layers.items()})
         for k, r in zip(drives, one, strict=True)
@@ -97,25 +94,20 @@ def test_different_drives_widen_the_interval() -> None:
 
 
 def test_unread_layers_are_not_compared() -> None:
-    rng = np.random.default_rng(6)
-    one, other = records(0.02, 50, rng), records(0.02, 50, rng)
+    one, other, rng = pair(0.02, 50, 6)
     other[0] = replace(other[0], layers={**other[0].layers, "low": LayerCounts()})
     pairs = {c.layer: c.pairs for c in experiment.compare(one, other, rng) if c.bin_m is None}
     assert pairs == {"high": 50, "middle": 50, "low": 49}
 
 
-@pytest.mark.parametrize(
-    ("counts", "verdict", "why"),
-    [
-        (LayerCounts(codewords=1000), "holds", ""),
-        (LayerCounts(codewords=100), "shown", "Too few"),
-        (LayerCounts(raw_bits=1000, raw_errors=20, codewords=100, codeword_errors=5), "differs", ""),
-        (LayerCounts(raw_bits=1000, raw_errors=200, codewords=100, codeword_errors=5), "differs", "too much"),
-        (LayerCounts(0, 0, 1000, 200, 100, 5, 5), "differs", "5 of the 5 wrong codewords are of packets not received."),
-        (LayerCounts(0, 0, 1000, 200, 100, 5, 2), "differs", "2 of the 5 wrong"),
-        (LayerCounts(), "shown", "Too few"),
-    ],
-)
+@pytest.mark.parametrize(("counts", "verdict", "why"), [
+    (LayerCounts(codewords=1000), "holds", ""), (LayerCounts(codewords=100), "shown", "Too few"),
+    (LayerCounts(raw_bits=1000, raw_errors=20, codewords=100, codeword_errors=5), "differs", ""),
+    (LayerCounts(raw_bits=1000, raw_errors=200, codewords=100, codeword_errors=5), "differs", "too much"),
+    (LayerCounts(0, 0, 1000, 200, 100, 5, 5), "differs", "5 of the 5 wrong codewords are of packets not received."),
+    (LayerCounts(0, 0, 1000, 200, 100, 5, 2), "differs", "2 of the 5 wrong"),
+    (LayerCounts(), "shown", "Too few"),
+])  # fmt: skip
 def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str) -> None:
     finding = next(experiment.error_free(experiment.CountsByDistance({77.5: dict.fromkeys(LAYERS, counts)})))
     assert finding.verdict == verdict
@@ -125,8 +117,6 @@ def test_reasons_of_wrong_codewords(counts: LayerCounts, verdict: str, why: str)
 
 
 class RepeatingReceiver:
-    """Receiver that returns each packet `times` times."""
-
     def __init__(self, receiver: Receiver, times: int):
         self.receiver, self.times = receiver, times
 
@@ -143,23 +133,15 @@ def test_lost_and_repeated_packets(monkeypatch: pytest.MonkeyPatch, times: int, 
     assert experiment.lost_packets([one, one]) == Count(2, 2 * lost)
 
 
-def test_holm() -> None:
-    assert experiment.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert experiment.holm([0.5, 0.9]) == [1.0, 1.0]
-    assert experiment.holm([]) == []
-
-
 @pytest.mark.slow
 def test_packets_of_a_drive_add_up_to_the_count_of_a_block() -> None:
     settings = load_settings("paper", {"channel": {"distance_m": 62.0, "duration_s": 0.25}})
     one = experiment.film_packets(settings, np.random.default_rng(4))
-    assert len(one.packets) == 2
-    assert one.false_codewords == 0
+    assert (len(one.packets), one.false_codewords) == (2, 0)
     assert all(55 < record.distance_m < 62 for record in one.packets)
     distances = [record.distance_m for record in one.packets]
     assert distances == sorted(distances, reverse=True)
-    seed = int(np.random.default_rng(4).integers(2**31))
-    block = run_block(settings, seed, max_packets=None)
+    block = run_block(settings, int(np.random.default_rng(4).integers(2**31)), max_packets=None)
     for name in LAYERS:
         total = sum((record.layers[name] for record in one.packets), LayerCounts())
         assert replace(total, missed=0) == replace(block.layers[name], missed=0)
@@ -193,8 +175,7 @@ def test_result(monkeypatch: pytest.MonkeyPatch) -> None:
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1)
     data = json.loads(json.dumps(result.data))
-    assert [row["distance_m"] for row in data["static"]] == [30.0, 60.0]
-    assert data["static"][0]["low"]["raw_errors"] == 0
+    assert ([row["distance_m"] for row in data["static"]], data["static"][0]["low"]["raw_errors"]) == ([30.0, 60.0], 0)
     assert data["static"][1]["low"]["raw_bits"] == 3072
     assert 0.05 < data["static"][1]["low"]["raw_errors"] / 3072 < 0.3
     assert data["driving"]
@@ -228,53 +209,39 @@ def test_a_line_names_wrong_missed_and_false_codewords() -> None:
     assert text.endswith("false codewords 2, packets of nothing 0")
 
 
+@pytest.mark.parametrize(("distance_m", "lost"), [(40.0, 0), (600.0, 2)])
+def test_a_near_packet_is_read_in_every_reception_and_a_far_one_in_none(distance_m: float, lost: int) -> None:
+    counts = measure(film_settings(distance_m, 2, ["signal.data_pairs=8"]), "middle", 2, 1, Context())
+    assert [(one.trials, one.errors) for one in counts] == [(2, lost)] * 2
+
+
 def test_the_distance_is_that_of_the_middle_of_the_film() -> None:
-    settings = film_settings(100.0, 3)
-    channel = settings.channel
+    channel = film_settings(100.0, 3, ["channel.road_class='A'"]).channel
+    assert channel.road_class == "A"
     assert channel.duration_s == pytest.approx(0.305)
     assert channel.distance_m - channel.speed_m_s * 0.305 / 2 == pytest.approx(100.0)
-    assert film_settings(100.0, 3, ["channel.road_class='A'"]).channel.road_class == "A"
-
-
-def test_a_near_packet_is_read_in_every_reception_and_a_far_one_in_none() -> None:
-    short = ["signal.data_pairs=8"]
-    near = measure(film_settings(40.0, 2, short), "middle", 2, 1, Context())
-    assert [(one.trials, one.errors) for one in near] == [(2, 0), (2, 0)]
-    far = measure(film_settings(600.0, 2, short), "middle", 2, 1, Context())
-    assert [(one.trials, one.errors) for one in far] == [(2, 2), (2, 2)]
 
 
 def test_no_line_joins_a_bound() -> None:
     axes = Figure().add_subplot()
-    counts = [
-        (40.0, Count(100, 0)),
-        (60.0, Count(100, 5)),
-        (80.0, Count(0, 0)),
-        (100.0, Count(12, 0)),
-        (120.0, Count(5, 0)),
-    ]
-    plots.draw_rates(axes, counts, "soft", color="C0")
+    counts = (Count(100, 0), Count(100, 5), Count(0, 0), Count(12, 0), Count(5, 0))
+    plots.draw_rates(axes, list(zip((40.0, 60.0, 80.0, 100.0, 120.0), counts, strict=True)), "soft", color="C0")
     joined = [line for line in axes.lines if line.get_linestyle() != "None"]
     assert [np.asarray(line.get_xdata()).tolist() for line in joined] == [[60.0]]
     (bounds,) = (line for line in axes.lines if line.get_marker() == ARROW)
     # a bound of 0.6 is no measurement
-    assert np.asarray(bounds.get_ydata()).tolist() == [0.03, 0.25]
-    assert legend_entries(axes)[1] == ["soft", BOUND]
+    assert (np.asarray(bounds.get_ydata()).tolist(), legend_entries(axes)[1]) == ([0.03, 0.25], ["soft", BOUND])
 
 
-def test_a_system_without_any_error_keeps_its_place_in_the_legend() -> None:
-    bins = {40.0: {name: LayerCounts(raw_bits=1000) for name in LAYERS}}
-    (legend,) = plots.errors_by_distance(bins).legends
-    assert [text.get_text() for text in legend.get_texts()] == [*LAYERS, BOUND]
-
-
-def test_no_error_is_drawn_as_a_bound_of_three_by_n() -> None:
+def test_no_error_is_drawn_as_a_bound_of_three_by_n_and_named_in_the_legend() -> None:
     layers = {"high": LayerCounts(bits=6000), "middle": LayerCounts(), "low": LayerCounts(bits=1000, bit_errors=10)}
     after = plots.errors_by_distance({50.0: layers}).axes[1]
     points = [(float(x), float(y)) for line in after.lines for x, y in np.array(line.get_xydata())]
-    # each layer is drawn a little aside
-    assert (52.5 - 0.7, 3 / 6000) in points
+    assert (52.5 - 0.7, 3 / 6000) in points  # each layer is drawn a little aside
     assert (52.5 + 0.7, 0.01) in points
+    bins = {40.0: {name: LayerCounts(raw_bits=1000) for name in LAYERS}}
+    (legend,) = plots.errors_by_distance(bins).legends
+    assert [text.get_text() for text in legend.get_texts()] == [*LAYERS, BOUND]
 
 
 SMALL = ("channel.camera.width=192", "channel.camera.height=160", "channel.arrays.0.x_m=0", "channel.arrays.0.y_m=0")
@@ -289,8 +256,7 @@ def scene(data: Path, clip: str, seed: int, *changes: str) -> RealScene:
 @pytest.mark.slow
 def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, distance_m: int, readable: int) -> None:
     drive = scene(data, clip, 1, f"channel.distance_m={distance_m}", "channel.duration_s=0.24")
-    # film only the array and a margin, for speed
-    found = real_input.drive(drive, 16)
+    found = real_input.drive(drive, 16)  # film only the array and a margin, for speed
     assert found.frames == 240
     assert found.errors is not None
     total = found.errors.total()
@@ -306,18 +272,15 @@ def test_layers_are_read_over_real_footage_and_shake(data: Path, clip: str, dist
 def test_a_clip_without_an_array_has_no_packet(data: Path, clip: str, native: bool) -> None:
     # short packets, so that a packet from a false detection ends within the clip
     small = ("signal.data_pairs=8", "channel.camera.width=480", "channel.camera.height=270")
-    found = real_input.empty(
-        scene(data, clip, 3, "channel.duration_s=0.04", *small), 20 if native else None, native=native
-    )
-    assert found.frames == (20 if native else 40)
-    assert (found.right, found.words) == (0, 0)
+    film = scene(data, clip, 3, "channel.duration_s=0.04", *small)
+    found = real_input.empty(film, 20 if native else None, native=native)
+    assert (found.frames, found.right, found.words) == (20 if native else 40, 0, 0)
     # a false detection of native frames costs little time, but a valid codeword from noise is a wrong message
     assert found.detections <= (1 if native else 0)
 
 
 def test_counts_of_empty_films_add_up() -> None:
-    one = EmptyCounts(100, 1, 1, 0, 2, 3)
-    total = one + one
+    total = EmptyCounts(100, 1, 1, 0, 2, 3) + EmptyCounts(100, 1, 1, 0, 2, 3)
     assert (total.frames, total.detections, total.words, total.without_header) == (200, 2, 4, 6)
     assert "0/200 (< 1.5e-02) packets with a right codeword" in total.text()
 
@@ -334,5 +297,4 @@ def test_a_transcoded_film_is_compared_with_the_original_truth(tmp_path: Path) -
     reception = real_input.receive_again(again, open_truth(truth_path(film)))
     assert reception.errors is not None
     lines = list(real_input.error_lines(reception.errors))
-    assert lines[0] == "30-35 m: high 0/1, middle 0/2, low 0/1"
-    assert lines[-1] == "false codewords 0, false packets 0"
+    assert (lines[0], lines[-1]) == ("30-35 m: high 0/1, middle 0/2, low 0/1", "false codewords 0, false packets 0")

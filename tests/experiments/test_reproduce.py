@@ -49,6 +49,7 @@ def test_report_pictures_and_data(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_text(encoding="utf-8") == page
 
 
+KEYS = ["fig5", "fig3"]
 MADE = ExperimentResult(
     text="text", findings=[Finding("claim", "12 of 13 | more", "holds")], tables=[Table("table", ["a"], [["1"]])],
     data={"n": [1, 2.5, None]}, pictures=[(Figure(figsize=(1, 1)), "a picture")],
@@ -72,8 +73,8 @@ def runs(monkeypatch: pytest.MonkeyPatch, complete: int = 2) -> list[str]:
 
 
 def reproduced(context: Context, folder: Path) -> list[ExperimentResult]:
-    before = book.done_before(["fig5", "fig3"], context, folder)
-    return book.reproduce(["fig5", "fig3"], context, folder, lambda key, title: None, before)
+    before = book.done_before(KEYS, context, folder)
+    return book.reproduce(KEYS, context, folder, lambda key, title: None, before)
 
 
 def test_an_interrupted_run_keeps_results_and_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,12 +92,9 @@ def test_an_interrupted_run_keeps_results_and_continues(tmp_path: Path, monkeypa
         assert "Not run yet: fig3." in markdown
         for page in pages:
             page.unlink()
-    begun = runs(monkeypatch)
-    results = reproduced(context, tmp_path)
+    begun, results = runs(monkeypatch), reproduced(context, tmp_path)
     assert begun == ["patterns.received"]
-    assert [(result.key, result.title) for result in results] == [
-        (key, book.EXPERIMENTS[key][1]) for key in ("fig5", "fig3")
-    ]
+    assert {result.key: result.title for result in results} == {key: book.EXPERIMENTS[key][1] for key in KEYS}
     for result in results:
         assert result.text == "text More."
         assert (result.findings, result.tables, result.data) == (MADE.findings, MADE.tables, MADE.data)
@@ -105,15 +103,11 @@ def test_an_interrupted_run_keeps_results_and_continues(tmp_path: Path, monkeypa
         assert caption == "a picture"
     content = pages[0].read_bytes()
     assert b"Not run yet" not in content
-    assert reproduced(context, tmp_path) == results
-    assert len(begun) == 1
-    assert pages[0].read_bytes() == content
+    assert (reproduced(context, tmp_path), len(begun), pages[0].read_bytes()) == (results, 1, content)
 
 
 @pytest.mark.parametrize("change", ["seed", "quick", "clip", "code", "picture", "json", "no mapping"])
-def test_results_of_another_run_or_damaged_results_are_not_reused(
-    change: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_or_damaged_results_are_not_reused(change: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     runs(monkeypatch)
     reproduced(context := Context(), tmp_path)
     if change == "seed":
@@ -129,4 +123,4 @@ def test_results_of_another_run_or_damaged_results_are_not_reused(
         (tmp_path / "fig5-1.png").unlink()
     else:
         (tmp_path / "fig5.json").write_text({"json": "{", "no mapping": "[1]"}[change])
-    assert "fig5" not in book.done_before(["fig5", "fig3"], context, tmp_path)
+    assert "fig5" not in book.done_before(KEYS, context, tmp_path)

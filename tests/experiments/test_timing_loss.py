@@ -5,19 +5,13 @@ import pytest
 from heliograph.experiments.patterns.timing_loss import table, timing_loss
 
 
-def test_a_camera_in_step_loses_nothing() -> None:
+def test_loss_grows_as_frames_straddle_patterns_and_is_small_for_many_frames() -> None:
     expected = {"slope": 1.0, "noise": 1.0, "loss (dB)": 0.0, "around": 0.0, "rest": 0.0, "bits": 1.0, "header": 1.0}
     in_step = timing_loss(1.0, 1.0, 0.0)
     assert {name: in_step[name] for name in expected} == pytest.approx(expected, abs=1e-6)
-
-
-def test_frames_that_straddle_two_patterns_lose_slope_and_header() -> None:
     losses = [timing_loss(1.0, 1.0, phase)["loss (dB)"] for phase in (0.1, 0.2, 0.3, 0.4)]
     assert losses == sorted(losses)
     assert timing_loss(1.0, 1.0, 0.5)["header"] == pytest.approx(0.0)
-
-
-def test_more_frames_than_patterns_lose_little_at_any_phase() -> None:
     assert max(timing_loss(1.5, 2 / 3, phase)["loss (dB)"] for phase in (0.0, 1 / 6, 1 / 3, 0.5)) < 0
 
 

@@ -13,28 +13,20 @@ from screen_films import Grabs
 from waiting import HANG_MS
 
 CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
-
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed: apt-get install chromium")
 
 expect.set_options(timeout=HANG_MS)
 
 SWITCHES = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-    "--autoplay-policy=no-user-gesture-required",
-)
-
+    "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update",
+    "--disable-sync", "--no-first-run", "--autoplay-policy=no-user-gesture-required",
+)  # fmt: skip
 DISPLAY = """
 let asked = [], now = 0;
 window.requestAnimationFrame = (draw) => asked.push(draw);
 window.refresh = () => { now += 1000 / 60; asked.splice(0).forEach((draw) => draw(now)); };
 """
 """A script of a page: a display of 60 Hz that is refreshed by `refresh()`, so that a busy machine skips nothing."""
-
 GRABBED = """
 async ([refreshes, size]) => {
   const canvas = document.getElementById("array");
@@ -63,7 +55,6 @@ async ([refreshes, size]) => {
 
 @contextmanager
 def browser(kind: BrowserType, *switches: str) -> Iterator[Browser]:
-    """Yield a headless browser."""
     found = kind.launch(executable_path=CHROMIUM, headless=True, args=[*SWITCHES, *switches])
     try:
         yield found
@@ -90,11 +81,8 @@ def quiet_page(found: Browser, address: str, script: str = "", **options: object
 
 def webcam_of(path: Path) -> Sequence[str]:
     """Return switches that make an MJPEG file the browser's webcam and grant camera permission."""
-    return (
-        "--use-fake-device-for-media-stream",
-        "--use-fake-ui-for-media-stream",
-        f"--use-file-for-fake-video-capture={path}",
-    )
+    fakes = ("--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream")
+    return (*fakes, f"--use-file-for-fake-video-capture={path}")
 
 
 def grabbed(page: Page, seconds: float, size: int = 240) -> Grabs:
@@ -105,7 +93,6 @@ def grabbed(page: Page, seconds: float, size: int = 240) -> Grabs:
 
 
 def check_accessibility(page: Page) -> None:
-    """Check a page with axe."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
     found = axe.Axe().run(page)
     assert found.violations_count == 0, found.generate_report()

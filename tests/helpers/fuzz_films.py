@@ -14,30 +14,16 @@ from made_recordings import noise, write_cine, write_mraw, write_tiff, write_y4m
 from heliograph.link.truth import noted_signal
 from heliograph.media import open_film
 
-FRAMES_READ = 200
-"""Frame limit, since a damaged film may claim too many frames."""
-
-MARK = b"--part--"
-"""Separates mutated parts: files that belong together, or data protected by checksums."""
-
-RATE_HZ = 1000.0
-"""Frame rate for films without timestamps."""
-
+FRAMES_READ = 200  # frame limit, since a damaged film may claim too many frames
+MARK = b"--part--"  # separates mutated parts: files that belong together, or data protected by checksums
+RATE_HZ = 1000.0  # frame rate for films without timestamps
 SETTINGS_BYTES = 904
 """Smallest camera settings block in a .cine file; real blocks are mostly zeros, which would waste mutations."""
-
-PNG = b"\x89PNG\r\n\x1a\n"
-"""PNG signature."""
-
-CODECS = {".h5": None, ".mkv": "ffv1", ".nut": "ffv1", ".mp4": "h264", ".avi": "mjpeg"}
-"""Codec per film format."""
-
-WITHOUT_CLOCK = (".npy", ".tif", ".png", ".jpg")
-"""Film formats that lack a frame rate."""
-
+PNG = b"\x89PNG\r\n\x1a\n"  # PNG signature
+CODECS = {".h5": None, ".mkv": "ffv1", ".nut": "ffv1", ".mp4": "h264", ".avi": "mjpeg"}  # codec per film format
+WITHOUT_CLOCK = (".npy", ".tif", ".png", ".jpg")  # film formats that lack a frame rate
 Parser = Callable[[bytes, Path], object]
-Seeds = dict[str, tuple[Parser, list[bytes]]]
-"""Parser and valid inputs by name."""
+Seeds = dict[str, tuple[Parser, list[bytes]]]  # parser and valid inputs by name
 
 
 def read(path: Path, rate_hz: float | None = None) -> None:

@@ -13,7 +13,6 @@ def is_running(pid: int) -> bool:
 
 
 def worker_processes(parent: int) -> list[int]:
-    """Return the spawned worker processes of a process."""
     found = []
     for entry in Path("/proc").iterdir():
         try:

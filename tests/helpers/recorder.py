@@ -18,20 +18,16 @@ class Recorder:
         self.events.append(event)
 
     def of(self, kind: type[T]) -> list[T]:
-        """Return events by type."""
         return [event for event in self.events if isinstance(event, kind)]
 
     @property
     def found_s(self) -> list[float]:
-        """Return header start times of detected arrays."""
         return [event.detection.start_time_s for event in self.of(DetectEvent)]
 
     @property
     def lost_s(self) -> list[float]:
-        """Return last pose times of lost arrays."""
         return [event.time_s for event in self.of(LostEvent)]
 
     @property
     def tracked(self) -> list[TrackedPair]:
-        """Return the tracked array in each pair."""
         return [event.tracked for event in self.of(TrackEvent)]

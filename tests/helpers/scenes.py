@@ -1,6 +1,6 @@
 """Receiver test films: an array rendered from the equations, and small simulated films."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -19,13 +19,11 @@ from heliograph.receive.api import AnyObserver
 from heliograph.signal.pwm import lit_slots
 
 Floats = NDArray[np.float64]
-
 SIDE = 16
 ALL_ON = np.ones((SIDE, SIDE))
 
 
 def pitch_at(distance_m: float) -> float:
-    """Return the reference link's pitch in px."""
     return 0.035 * 0.02 / (distance_m * 12e-6)
 
 
@@ -37,8 +35,7 @@ def draw(pose: Pose, weights: Floats, corner: tuple[int, int], shape: tuple[int,
         edges = first - 0.5 + np.arange(count + 1)
         return np.diff(0.5 * erf((edges - centres[:, None]) / (np.sqrt(2) * pose.blur)), axis=1)
 
-    # only 6e-16 of an LED's light lies beyond 8 standard deviations
-    spans = []
+    spans = []  # only 6e-16 of an LED's light lies beyond 8 standard deviations
     for first, count, centres in zip(corner, (shape[1], shape[0]), points.T, strict=True):
         low, high = np.floor([centres.min() - 8 * pose.blur, centres.max() + 8 * pose.blur + 1]).astype(int) - first
         spans.append(slice(*np.clip([low, high + 1], 0, count)))
@@ -52,13 +49,8 @@ def draw(pose: Pose, weights: Floats, corner: tuple[int, int], shape: tuple[int,
 
 def link(*changes: str, **channel: Any) -> LinkSettings:
     """Return the still reference link, with the array centred in a small camera image."""
-    base: Mapping[str, Any] = {
-        "distance_m": 50.0,
-        "camera": {"width": 160, "height": 120},
-        "arrays": [{"x_m": 0.0, "y_m": 0.0}],
-        **channel,
-    }
-    return load_settings("static", {"channel": base}, changes)
+    small = {"distance_m": 50.0, "camera": {"width": 160, "height": 120}, "arrays": [{"x_m": 0.0, "y_m": 0.0}]}
+    return load_settings("static", {"channel": small | channel}, changes)
 
 
 def film(settings: LinkSettings, frames: int, seed: int = 1, roi_margin_px: int | None = None) -> list[Frame]:
@@ -69,7 +61,6 @@ def film(settings: LinkSettings, frames: int, seed: int = 1, roi_margin_px: int 
 
 
 def received(frames: Iterable[Frame], settings: LinkSettings, observe: AnyObserver | None = None) -> list[Packet]:
-    """Return the packets received from frames."""
     return list(receive_frames(frames, settings.signal, settings.receive, observe))
 
 
@@ -104,19 +95,13 @@ def at_rest(t: Floats) -> Floats:
 
 
 def levels(settings: LinkSettings) -> Iterator[NDArray[np.uint8]]:
-    """Yield patterns from the first array."""
     return transmitters(settings, default_messages(settings))[0].levels()
 
 
 def drawn_film(
-    settings: LinkSettings,
-    frames: int,
-    path: Callable[[Floats], Floats],
-    *,
-    hidden: Sequence[range] = (),
-    exposed_slots: int = 4,
-    distance_m: float = 50.0,
-) -> list[Frame]:
+    settings: LinkSettings, frames: int, path: Callable[[Floats], Floats], *, hidden: Sequence[range] = (),
+    exposed_slots: int = 4, distance_m: float = 50.0,
+) -> list[Frame]:  # fmt: skip
     """Film an array with its centre on a path: time in s (n,) -> (x, y), shape (n, 2).
 
     Frames are contiguous. An exposure covers some of the four slots in a 1 ms pattern and averages an image per

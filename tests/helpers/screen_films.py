@@ -12,25 +12,13 @@ from numpy.typing import NDArray
 
 Gray = NDArray[np.uint8]
 Light = NDArray[np.float32]
-
-GAMMA = 2.2
-"""Gamma of the screen and of the phone's pictures."""
-
-TICKS = 90_000
-"""Ticks per second in the film, typical for phones."""
+GAMMA = 2.2  # gamma of the screen and of the phone's pictures
+TICKS = 90_000  # ticks per second in the film, typical for phones
 
 
 @dataclass(frozen=True, slots=True)
 class Grabs:
-    """Screen content; each picture stays until the next time.
-
-    Attributes
-    ----------
-    times_s
-        (k,) ascending times in s.
-    pictures
-        (k, rows, columns) screen pixel values.
-    """
+    """Screen content: (k, rows, columns) pictures, each of which stays until the next of (k,) ascending times."""
 
     times_s: NDArray[np.float64]
     pictures: Gray
@@ -38,56 +26,24 @@ class Grabs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Phone:
-    """Phone camera model; the defaults are a hand-held phone before a laptop.
-
-    Attributes
-    ----------
-    fps
-        Frame rate, with times jittered by up to `jitter_s`.
-    width, height
-        Frame columns and rows.
-    side_px
-        Side of the screen picture in a frame.
-    exposure_s, readout_s
-        Row exposure time, and delay from the first row to the last.
-    jitter_s
-        Largest deviation from uniform frame times; the film has the true times.
-    shake_px
-        Amplitude of the hand shake.
-    blur_px
-        Standard deviation of the lens blur.
-    noise
-        Standard deviation of a gray level.
-    glare
-        Ambient light on the screen, as a fraction of full light.
-    gain
-        Brightness relative to a correct exposure.
-    turn_deg
-        Yaw of the screen from fronto-parallel.
-    off_px
-        Displacement of the screen picture to the right.
-    mbit_s
-        Bit rate of the film.
-    seed
-        Seed for position, perspective, times and noise.
-    """
+    """Phone camera model; the defaults are a hand-held phone before a laptop."""
 
     fps: float = 30.0
-    width: int = 640
+    width: int = 640  # of a frame
     height: int = 480
-    side_px: float = 320.0
-    exposure_s: float = 0.010
-    readout_s: float = 0.015
-    jitter_s: float = 0.002
-    shake_px: float = 2.0
-    blur_px: float = 1.2
-    noise: float = 2.0
-    glare: float = 0.03
-    gain: float = 1.0
-    turn_deg: float = 0.0
-    off_px: float = 0.0
-    mbit_s: float = 10.0
-    seed: int = 1
+    side_px: float = 320.0  # of the screen picture in a frame
+    exposure_s: float = 0.010  # of a row
+    readout_s: float = 0.015  # delay from the first row to the last
+    jitter_s: float = 0.002  # largest deviation from uniform frame times; the film has the true times
+    shake_px: float = 2.0  # amplitude of the hand shake
+    blur_px: float = 1.2  # standard deviation of the lens blur
+    noise: float = 2.0  # standard deviation of a gray level
+    glare: float = 0.03  # ambient light on the screen, as a fraction of full light
+    gain: float = 1.0  # brightness relative to a correct exposure
+    turn_deg: float = 0.0  # yaw of the screen from fronto-parallel
+    off_px: float = 0.0  # displacement of the screen picture to the right
+    mbit_s: float = 10.0  # bit rate of the film
+    seed: int = 1  # for position, perspective, times and noise
 
 
 def phone_frames(grabs: Grabs, phone: Phone) -> Iterator[tuple[float, Gray]]:
@@ -109,8 +65,7 @@ def screen_corners(phone: Phone, rng: np.random.Generator) -> NDArray[np.float64
     """Return the image corners of the screen picture, each displaced from a square by up to 4 %."""
     middle = np.array([phone.width, phone.height]) / 2 + rng.uniform(-0.04, 0.04, 2) * phone.height
     turn = np.deg2rad(phone.turn_deg)
-    # at a viewing distance of 3.5 sides
-    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64) / 2
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64) / 2  # at a viewing distance of 3.5 sides
     away = 1 + square[:, :1] * np.sin(turn) / 3.5
     square = square * (np.cos(turn), 1) / away * phone.side_px
     corners = middle + (phone.off_px, 0) + square + rng.uniform(-0.04, 0.04, (4, 2)) * phone.side_px

@@ -5,8 +5,7 @@ from screen_films import GAMMA, Grabs
 
 from heliograph.web.sending import Sending
 
-MARGIN = 2
-"""Dark margin in cells, as on the page."""
+MARGIN = 2  # dark margin in cells, as on the page
 
 
 def shown(sending: Sending, seconds: float, cell_px: int = 16, first_s: float = 0.3) -> Grabs:

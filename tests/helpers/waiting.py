@@ -7,9 +7,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 T = TypeVar("T")
-
-HANG_S = 300.0
-"""Time limit in s, sufficient for any machine under any load."""
+HANG_S = 300.0  # time limit in s, sufficient for any machine under any load
 HANG_MS = 1000 * HANG_S
 
 

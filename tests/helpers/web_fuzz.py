@@ -18,22 +18,15 @@ from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Access
 from heliograph.web.sending import sending_of
 
-LIMITS = Limits(film_bytes=1 << 16, films=4, idle_s=0.05, upload_s=1.0)
-"""Small limits, so that cases exceed them."""
-
-LIMIT_S = 20.0
-"""Time limit per case; a reception stops before its next frame."""
-
+LIMITS = Limits(film_bytes=1 << 16, films=4, idle_s=0.05, upload_s=1.0)  # small limits, so that cases exceed them
+LIMIT_S = 20.0  # time limit per case; a reception stops before its next frame
 TOKEN = "a-token"
-
 PATHS = ("/", "/watch", "/api/films", "/api/films/00", "/api/watch/sources", "/api/bundles/00", "/api/transmit",
          "/api/receive", "/assets/watch.js", "/../../etc/passwd", "/%2e%2e/%2e%2e", "/api//films", "/\x00",
          "/api/transmit?side=16&rate_hz=10", "/api/transmit?side=8&rate_hz=30&name=a.jpg",
          "/api/transmit/{}/packets?first=0&count=2", "/api/transmit/{}/film?seconds=1e9")  # fmt: skip
 """Paths of requests; the key of a transmission replaces the braces."""
-
 METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "OPTIONS", "PATCH", "BREW")
-
 HEADERS = (
     (b"host", b"127.0.0.1:8000"), (b"host", b"evil.example"), (b"origin", b"http://127.0.0.1:8000"),
     (b"origin", b"null"), (b"authorization", b"Bearer a-token"), (b"authorization", b"Basic AAAA"),
@@ -42,7 +35,6 @@ HEADERS = (
     (b"transfer-encoding", b"chunked"), (b"sec-fetch-site", b"cross-site"), (b"range", b"bytes=-9-"),
     (b"cookie", b"a=b"), (b"accept-encoding", b"gzip, br"),
 )  # fmt: skip
-
 COMMANDS = (
     {"do": "pause"}, {"do": "go"}, {"do": "step"}, {"do": "packet"}, {"do": "stop"}, {"do": "save"}, {"do": "took"},
     {"do": "heard", "rows": 7}, {"do": "speed", "times": 0.1}, {"do": "speed", "times": None},
@@ -51,7 +43,6 @@ COMMANDS = (
     {"do": "open", "source": {"kind": "camera", "number": 3}, "paused": True},
 )  # fmt: skip
 """Commands of page *Watch* that start no reception."""
-
 RECEPTIONS = (
     {"kind": "camera"}, {"kind": "camera", "side": 16, "rate_hz": 10.0}, {"kind": "camera", "side": 8, "rate_hz": None},
     {"kind": "film", "film": "0" * 32},
@@ -60,7 +51,6 @@ RECEPTIONS = (
 
 
 def served() -> FastAPI:
-    """Return an application with a token and a missing film."""
     return create_app(films=["missing.mkv"], access=Access(LOOPBACK, token=TOKEN), limits=LIMITS)
 
 
@@ -150,7 +140,6 @@ def camera_message(rng: random.Random, number: int) -> MutableMapping[str, Any]:
 
 
 def conversation(rng: random.Random) -> tuple[str, list[MutableMapping[str, Any]]]:
-    """Draw the path and the messages of a page."""
     count = rng.randrange(1, 20)
     if rng.random() < 0.5:
         return "/api/watch", [text_message(rng, rng.choice(COMMANDS), 0.85) for _ in range(count)]
@@ -194,5 +183,4 @@ async def fuzz(requests: int, conversations: int, seed: int) -> Counter[str]:
     return found
 
 
-GOOD = {"2xx", "3xx", "4xx", "5xx", "ended", "closed"}
-"""Valid outcomes; 5xx is 503, server full."""
+GOOD = {"2xx", "3xx", "4xx", "5xx", "ended", "closed"}  # valid outcomes; 5xx is 503, server full

@@ -15,15 +15,13 @@ from heliograph.web.limits import Limits
 from heliograph.web.security import Access
 from heliograph.web.serve import Address, open_port, server_config
 
-OWN = "http://127.0.0.1:8000"
-"""Address of test clients; other addresses are rejected."""
+OWN = "http://127.0.0.1:8000"  # address of test clients; other addresses are rejected
 
 
 @contextmanager
 def serving(
     films: Sequence[Path] = (), limits: Limits | None = None, access: Access | None = None, phone_url: str = ""
 ) -> Iterator[str]:
-    """Serve the pages; yield the URL."""
     address, limits = Address(port=0), limits or Limits()
     app = create_app(films=[str(film) for film in films], access=access, limits=limits, phone_url=phone_url)
     server = uvicorn.Server(server_config(app, address, limits))
@@ -39,5 +37,4 @@ def serving(
 
 
 def write_dark_film(path: Path, frames: int = 40) -> Path:
-    """Write a film without an array."""
     return write_levels(path, uniform(20 + np.arange(frames) % 2, 48, 64))

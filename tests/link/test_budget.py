@@ -38,8 +38,8 @@ def test_an_array_is_seen_as_the_reference_link_says(reference: heliograph.Budge
     assert spot.electrons_led == pytest.approx(spot.electrons_px * spot.pitch_px**2)
     assert spot.light == pytest.approx(0.8, rel=0.01)
     assert spot.noise == pytest.approx(0.006, rel=0.02)
-    assert spot.blur_pitches == pytest.approx(spot.blur_px / spot.pitch_px)
     assert reference.notes == ()
+    assert spot.blur_pitches == pytest.approx(spot.blur_px / spot.pitch_px)
 
 
 @pytest.mark.slow
@@ -72,17 +72,14 @@ def test_distances_of_one_link_have_one_range() -> None:
     assert all(a.here >= b.here for a, b in zip(near, far, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("light", "channel", "says"),
-    [
-        ({"candela": 20.0}, {}, "the array saturates, 18 full scales with every LED on: close the lens to f/52"),
-        ({"candela": 0.01}, {}, "too dim to be detected, 0.009 of full scale"),
-        ({}, {"camera": {"fps": 500.0}}, "500 frames/s are fewer than the 1000 patterns a second"),
-        ({}, {"camera": {"exposure_s": 4e-4}}, "an exposure of 0.4 ms covers a part of each pattern of 1 ms"),
-        ({"f_number": 32.0}, {}, "a lens of f/32 blurs by 0.7 px at 50 m, more than channel.camera.blur_px=0.5"),
-        ({}, {"distance_m": 5.0}, "at 5 m the array is not in the picture: +875, -583 px from the centre"),
-    ],
-)
+@pytest.mark.parametrize(("light", "channel", "says"), [
+    ({"candela": 20.0}, {}, "the array saturates, 18 full scales with every LED on: close the lens to f/52"),
+    ({"candela": 0.01}, {}, "too dim to be detected, 0.009 of full scale"),
+    ({}, {"camera": {"fps": 500.0}}, "500 frames/s are fewer than the 1000 patterns a second"),
+    ({}, {"camera": {"exposure_s": 4e-4}}, "an exposure of 0.4 ms covers a part of each pattern of 1 ms"),
+    ({"f_number": 32.0}, {}, "a lens of f/32 blurs by 0.7 px at 50 m, more than channel.camera.blur_px=0.5"),
+    ({}, {"distance_m": 5.0}, "at 5 m the array is not in the picture: +875, -583 px from the centre"),
+])  # fmt: skip
 @pytest.mark.slow
 def test_what_spoils_a_budget_is_said(light: dict[str, Any], channel: dict[str, Any], says: str) -> None:
     found = heliograph.budget(small(**channel), heliograph.LightSettings(**light))
@@ -90,31 +87,21 @@ def test_what_spoils_a_budget_is_said(light: dict[str, Any], channel: dict[str, 
     assert bool(found.layers) == ("saturates" not in says)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ((None,), "a budget is of heliograph.load_settings(...), not NoneType"),
-        ((load_settings(), 3), "light is a heliograph.LightSettings, not 3"),
-        ((small(distance_m=3.0, arrays=({"z_offset_m": -4.0, "vz_m_s": 9.0},)),), "1 m behind the camera"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "says"), [
+    ((None,), "a budget is of heliograph.load_settings(...), not NoneType"),
+    ((load_settings(), 3), "light is a heliograph.LightSettings, not 3"),
+    ((small(distance_m=3.0, arrays=({"z_offset_m": -4.0, "vz_m_s": 9.0},)),), "1 m behind the camera"),
+])  # fmt: skip
 def test_what_is_no_link_is_one_line(arguments: Any, says: str) -> None:
     with pytest.raises(SettingsError) as caught:
         heliograph.budget(*arguments)
     assert says in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("receiver", "share", "is_found"),
-    [
-        ("plain", 0.98, True),
-        ("plain", 1.04, False),
-        ("soft", 0.98, True),
-        ("soft", 1.04, False),
-    ],
-)
+@pytest.mark.parametrize(("receiver", "share", "is_found"), [
+    ("plain", 0.98, True), ("plain", 1.04, False), ("soft", 0.98, True), ("soft", 1.04, False),
+])  # fmt: skip
 def test_an_array_is_found_up_to_the_stated_distance(receiver: str, share: float, is_found: bool) -> None:
-    """Detector and budget share a distance limit."""
     small_camera = {"camera": {"width": 64, "height": 64}, "arrays": [{"x_m": 0.0, "y_m": 0.0}], "duration_s": 0.03}
     link = load_settings("static", {"channel": small_camera, "receive": {"receiver": receiver}})
     distance_m = share * detection_range_m(link, receiver)
@@ -149,7 +136,7 @@ def test_intensity_and_light_are_inverse() -> None:
     channel = ChannelSettings()
     meant = LightSettings().candela_of(channel)
     assert 0.5 < meant < 2
-    assert replace(LightSettings(), candela=meant).all_on(channel) == pytest.approx(channel.emitter.all_on)
+    assert LightSettings(candela=meant).all_on(channel) == pytest.approx(channel.emitter.all_on)
     assert LightSettings(candela=3.0).candela_of(channel) == 3.0
 
 

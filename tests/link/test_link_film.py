@@ -20,25 +20,25 @@ from heliograph.media import open_film
 from heliograph.receive import make_receiver
 from heliograph.signal.message import Message
 
-LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))
-"""Longer than four codewords of 116 bytes."""
+LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))  # longer than four codewords of 116 bytes
+Sent = dict[tuple[int, str, int], bytes]
 
 
-def through(path: Path, settings: LinkSettings, messages: Sequence[Messages]) -> tuple[list[Message], ReceptionCounter]:
-    """Return the messages decoded from a film, and the reception."""
+def through(path: Path, settings: LinkSettings, messages: Sequence[Messages]) -> tuple[Sent, ReceptionCounter]:
     write_film(path, settings, messages, seed=3)
     return read(path, settings)
 
 
-def read(path: Path, settings: LinkSettings) -> tuple[list[Message], ReceptionCounter]:
+def read(path: Path, settings: LinkSettings) -> tuple[Sent, ReceptionCounter]:
+    """Return the messages decoded from a film by identity, layer and stream, and the reception."""
     reception = ReceptionCounter(open_truth(truth_path(path)))
     with open_film(path) as source:
         signal, _ = signal_of(source, settings.signal)
         packets = list(receive_and_count(source, signal, settings, reception))
-    return [message for _, whole in packets for message in whole], reception
+    return by_place([message for _, whole in packets for message in whole]), reception
 
 
-def by_place(messages: list[Message]) -> dict[tuple[int, str, int], bytes]:
+def by_place(messages: list[Message]) -> Sent:
     assert len({(m.identity, m.layer, m.stream) for m in messages}) == len(messages), "each message comes out once"
     return {(m.identity, m.layer, m.stream): m.data for m in messages}
 
@@ -47,17 +47,11 @@ def by_place(messages: list[Message]) -> dict[tuple[int, str, int], bytes]:
 def test_messages_come_back_byte_for_byte_in_all_layers(tmp_path: Path) -> None:
     messages: list[Messages] = [{"high": [b"\x00stop\xff"], "middle": [LONG[:300], b"a"], "low": [LONG[:230]]}]
     found, reception = through(tmp_path / "a.mkv", link("channel.duration_s=0.4"), messages)
-    assert by_place(found) == {
-        (0, "high", 0): b"\x00stop\xff",
-        (0, "middle", 0): LONG[:300],
-        (0, "middle", 1): b"a",
-        (0, "low", 0): LONG[:230],
-    }
+    middle = {(0, "middle", 0): LONG[:300], (0, "middle", 1): b"a"}
+    assert found == {(0, "high", 0): b"\x00stop\xff", **middle, (0, "low", 0): LONG[:230]}
     assert reception.unfinished() == []
     assert reception.errors is not None
-    assert {n: (e.bit_errors, e.codeword_errors) for n, e in reception.errors.total().items()} == {
-        "high": (0, 0), "middle": (0, 0), "low": (0, 0)
-    }  # fmt: skip
+    assert [(layer.bit_errors, layer.codeword_errors) for layer in reception.errors.total().values()] == [(0, 0)] * 3
     assert reception.errors.false_codewords == 0
     report = reception.report(2.0)
     assert (report["frames"], report["seconds"], report["frames_per_second"]) == (400, 2.0, 200.0)
@@ -79,8 +73,7 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_layers_are_empty_or_unfinished_without_a_whole_message(film: Path) -> None:
     found, reception = read(film, link())
-    assert by_place(found) == {(0, "middle", 0): b"only this"}
-    assert reception.unfinished() == [(0, "high", 0, 348, 500)]
+    assert (found, reception.unfinished()) == ({(0, "middle", 0): b"only this"}, [(0, "high", 0, 348, 500)])
     tally = reception.arrays[0].layers
     assert (tally["low"].ok, tally["low"].bytes) == (3, 0)
 
@@ -94,8 +87,7 @@ def test_packets_are_read_without_counts_and_become_rows_of_plain_values(film: P
     row = packet_row(packets[0])
     assert json.loads(json.dumps(row)) == row
     assert (row["id"], row["status"], row["first_frame"], row["last_frame"]) == (0, "ok", 0, 99)
-    assert row["distance_m"] == pytest.approx(50, rel=0.02)
-    assert row["layers"]["high"][0]["sequence"] == 0
+    assert (row["distance_m"], row["layers"]["high"][0]["sequence"]) == (pytest.approx(50, rel=0.02), 0)
 
 
 @pytest.mark.slow
@@ -107,33 +99,27 @@ def test_truncated_film_gives_all_packets_before_the_end(film: Path, tmp_path: P
         found.extend(m for _, whole in receive_and_count(source, link().signal, link(), reception) for m in whole)
     assert 280 < reception.frames < 300
     assert by_place(found) == {(0, "middle", 0): b"only this"}
-    # a partial packet counts
-    assert reception.arrays[0].packets == 3
+    assert reception.arrays[0].packets == 3  # a partial packet counts
 
 
 @pytest.mark.slow
 def test_film_may_start_within_a_packet_and_has_a_note_of_the_signal(tmp_path: Path) -> None:
-    settings = link(
-        "channel.arrays.0.start_s=-0.0371", "channel.duration_s=0.4", "signal.data_pairs=40", "signal.rate.low=1/2"
-    )
+    changes = ("channel.arrays.0.start_s=-0.0371", "channel.duration_s=0.4", "signal.data_pairs=40")
+    settings = link(*changes, "signal.rate.low=1/2")
     write_film(tmp_path / "a.mkv", settings, [{"high": [b"odd"], "low": [LONG[:300]]}], seed=3)
     found, reception = read(tmp_path / "a.mkv", link())
-    assert by_place(found) == {(0, "high", 0): b"odd", (0, "low", 0): LONG[:300]}
+    assert found == {(0, "high", 0): b"odd", (0, "low", 0): LONG[:300]}
     assert reception.errors is not None
-    assert reception.errors.false_codewords == 0
-    assert reception.errors.total()["high"].bit_errors == 0
+    assert (reception.errors.false_codewords, reception.errors.total()["high"].bit_errors) == (0, 0)
     assert [list(reception.errors.bins())] == [[50.0]]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["n" * 252 + ".h5", "caf\udce9\n.h5"])
 def test_film_of_any_name_has_a_truth_file(tmp_path: Path, name: str) -> None:
-    settings = load_settings(
-        "static", None, ["channel.camera.width=64", "channel.camera.height=64", "channel.duration_s=0.01"]
-    )
+    settings = link("channel.camera.width=64", "channel.camera.height=64", "channel.duration_s=0.01")
     write_film(tmp_path / name, settings, [{"high": [b"x"]}], seed=1)
-    assert len(list(tmp_path.iterdir())) == 2
-    assert open_truth(truth_path(tmp_path / name)).settings == settings
+    assert (len(list(tmp_path.iterdir())), open_truth(truth_path(tmp_path / name)).settings) == (2, settings)
 
 
 @pytest.mark.slow
@@ -144,7 +130,7 @@ def test_two_arrays_send_different_messages(tmp_path: Path) -> None:
         "channel.arrays.0.x_m=0.8", "channel.arrays.0.y_m=0", "channel.arrays.1.x_m=-0.8", "channel.arrays.1.y_m=0",
     ])  # fmt: skip
     found, reception = through(tmp_path / "a.mkv", settings, [{"high": [b"left"]}, {"high": [b"right"]}])
-    assert by_place(found) == {(0, "high", 0): b"left", (7, "high", 0): b"right"}
+    assert found == {(0, "high", 0): b"left", (7, "high", 0): b"right"}
     assert [array["id"] for array in reception.report(1.0)["arrays"]] == [0, 7]
 
 
@@ -156,8 +142,6 @@ def test_the_same_seed_gives_the_same_film(tmp_path: Path) -> None:
 
 
 def interrupted_after(monkeypatch: pytest.MonkeyPatch, frames: int, error: BaseException) -> None:
-    """Raise an error after some simulated frames."""
-
     def some(*arguments: Any) -> Iterator[Any]:
         for count, pair in enumerate(simulate(*arguments)):
             if count == frames:
@@ -174,7 +158,7 @@ def test_ctrl_c_keeps_the_film_and_its_truth_so_far(tmp_path: Path, monkeypatch:
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mkv", "a.mkv.truth.npz"]
     assert len(list(open_truth(tmp_path / "a.mkv.truth.npz").rows())) == 120
     found, reception = read(tmp_path / "a.mkv", link())
-    assert (by_place(found), reception.frames) == ({(0, "high", 0): b"so far"}, 120)
+    assert (found, reception.frames) == ({(0, "high", 0): b"so far"}, 120)
 
 
 @pytest.mark.parametrize("frames", [0, 20])
@@ -196,10 +180,12 @@ def test_a_truth_that_cannot_be_written_takes_the_film_with_it(tmp_path: Path) -
     assert [p.name for p in tmp_path.iterdir()] == ["a.mkv.truth.npz"]
 
 
-def test_a_drive_without_a_frame_is_refused(tmp_path: Path) -> None:
+def test_drives_without_a_frame_or_a_packet_are_reported(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match=r"no frames.*channel\.duration_s"):
         write_film(tmp_path / "a.mkv", link("channel.duration_s=1e-5"), [{}], seed=1)
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(MediaError, match="has 99 frames; a packet takes 100"):
+        through(tmp_path / "a.mkv", link("channel.duration_s=0.099"), [{}])
 
 
 @pytest.mark.parametrize("data", [b"x" * 8_000_000, b"x" * 20_000_000])
@@ -208,12 +194,7 @@ def test_a_message_too_long_is_refused(data: bytes) -> None:
         simulate(link(), [{"high": [data]}], 0)
 
 
-def test_a_film_shorter_than_a_packet_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(MediaError, match="has 99 frames; a packet takes 100"):
-        through(tmp_path / "a.mkv", link("channel.duration_s=0.099"), [{}])
-
-
-def test_missing_recordings_are_reported() -> None:
-    for change in ("channel.background.kind=footage", "channel.shake=imu"):
-        with pytest.raises(SettingsError, match="needs"):
-            next(simulate(link(change), [{}], 0, Recordings()))
+@pytest.mark.parametrize("change", ["channel.background.kind=footage", "channel.shake=imu"])
+def test_missing_recordings_are_reported(change: str) -> None:
+    with pytest.raises(SettingsError, match="needs"):
+        next(simulate(link(change), [{}], 0, Recordings()))

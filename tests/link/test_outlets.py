@@ -28,16 +28,13 @@ def listener() -> Iterator[socket.socket]:
         yield one
 
 
-def test_row_is_a_datagram(listener: socket.socket) -> None:
+def test_row_is_a_datagram_with_or_without_a_listener(listener: socket.socket) -> None:
     outlet = open_outlet(f"udp://127.0.0.1:{listener.getsockname()[1]}")
     outlet.send(ROW)
     assert json.loads(listener.recv(1 << 16)) == ROW
     outlet.send({**ROW, "data": "A" * MOST_DATAGRAM})
     assert json.loads(listener.recv(1 << 16)) == {**ROW, "too_long": True}
     outlet.close()
-
-
-def test_datagrams_need_no_listener() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
         one.bind(("127.0.0.1", 0))
         port = one.getsockname()[1]
@@ -82,8 +79,7 @@ def test_pages_of_other_machines_are_refused() -> None:
 
 
 def test_late_client_does_not_delay_the_end() -> None:
-    before = set(threading.enumerate())
-    outlet = outlets.WebSocket("127.0.0.1", 0)
+    before, outlet = set(threading.enumerate()), outlets.WebSocket("127.0.0.1", 0)
     for _ in range(5):
         with connect(outlet.address):
             pass
@@ -91,18 +87,15 @@ def test_late_client_does_not_delay_the_end() -> None:
     wait_until(lambda: set(threading.enumerate()) <= before)
 
 
-@pytest.mark.parametrize(
-    ("address", "error", "words"),
-    [
-        ("tcp://127.0.0.1:5000", SettingsError, "udp://HOST:PORT or ws"),
-        ("udp://127.0.0.1", SettingsError, "udp://HOST:PORT or ws"),
-        ("udp://127.0.0.1:70000", SettingsError, "udp://HOST:PORT or ws"),
-        ("udp://127.0.0.1:0", SettingsError, "port 0, which has no listener"),
-        ("nonsense", SettingsError, "udp://HOST:PORT or ws"),
-        ("ws://0.0.0.0:5000", SettingsError, "only for this machine"),
-        ("udp://no.such.host.invalid:5000", MediaError, "cannot send to udp://no.such"),
-    ],
-)
+@pytest.mark.parametrize(("address", "error", "words"), [
+    ("tcp://127.0.0.1:5000", SettingsError, "udp://HOST:PORT or ws"),
+    ("udp://127.0.0.1", SettingsError, "udp://HOST:PORT or ws"),
+    ("udp://127.0.0.1:70000", SettingsError, "udp://HOST:PORT or ws"),
+    ("udp://127.0.0.1:0", SettingsError, "port 0, which has no listener"),
+    ("nonsense", SettingsError, "udp://HOST:PORT or ws"),
+    ("ws://0.0.0.0:5000", SettingsError, "only for this machine"),
+    ("udp://no.such.host.invalid:5000", MediaError, "cannot send to udp://no.such"),
+])  # fmt: skip
 def test_invalid_addresses_are_refused(address: str, error: type[HeliographError], words: str) -> None:
     with pytest.raises(error, match=words):
         open_outlet(address)

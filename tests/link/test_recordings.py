@@ -22,28 +22,19 @@ def motion(path: Path, lines: list[str]) -> Path:
 
 
 def test_motion_is_read_by_the_names_of_its_columns(tmp_path: Path) -> None:
-    lines = [f"note,{HEAD}", *(f"7,{row}" for row in rows())]
-    trace = load_imu(motion(tmp_path / "a.csv", lines))
+    trace = load_imu(motion(tmp_path / "a.csv", [f"note,{HEAD}", *(f"7,{row}" for row in rows())]))
     assert trace.t_s[:3].tolist() == pytest.approx([0, 0.01, 0.02])
-    assert trace.gyro_rad_s[10].tolist() == pytest.approx([0.01, 0.01, -0.02])
-    assert set(trace.speed_m_s.tolist()) == {8.3}
+    assert (trace.gyro_rad_s[10].tolist(), set(trace.speed_m_s.tolist())) == (pytest.approx([0.01, 0.01, -0.02]), {8.3})
 
 
-@pytest.mark.parametrize(
-    ("lines", "said"),
-    [
-        ([], "is empty"),
-        (["q#"], "is empty"),
-        (["#", " ", "# "], "is empty"),
-        ([HEAD], "at least 32"),
-        ([HEAD, *rows(5)], "at least 32"),
-        ([HEAD.replace("gyro_down", "gyro_up"), *rows()], "lacks the column 'gyro_down'"),
-        ([HEAD, *rows(39), "0.39,x,0,0,8"], "finite"),
-        ([HEAD, *rows(39), "0.39,,0,0,8"], "finite"),
-        ([HEAD, *rows(39), "0.01,0,0,0,8"], "rising"),
-        ([HEAD, *rows(39), "0.39,0,0"], "Line #41 .got 3 columns instead of 5"),
-    ],
-)
+@pytest.mark.parametrize(("lines", "said"), [
+    ([], "is empty"), (["q#"], "is empty"), (["#", " ", "# "], "is empty"), ([HEAD], "at least 32"),
+    ([HEAD, *rows(5)], "at least 32"),
+    ([HEAD.replace("gyro_down", "gyro_up"), *rows()], "lacks the column 'gyro_down'"),
+    ([HEAD, *rows(39), "0.39,x,0,0,8"], "finite"), ([HEAD, *rows(39), "0.39,,0,0,8"], "finite"),
+    ([HEAD, *rows(39), "0.01,0,0,0,8"], "rising"),
+    ([HEAD, *rows(39), "0.39,0,0"], "Line #41 .got 3 columns instead of 5"),
+])  # fmt: skip
 def test_wrong_motion_is_reported(tmp_path: Path, lines: list[str], said: str) -> None:
     path = motion(tmp_path / "a.csv", lines)
     with pytest.raises(MediaError, match=said) as caught:
@@ -52,11 +43,13 @@ def test_wrong_motion_is_reported(tmp_path: Path, lines: list[str], said: str) -
     assert "\n" not in str(caught.value)
 
 
-def test_motion_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "said"), [
+    ("none.csv", "No such file"), (".", "directory"), ("binary.csv", "no text"),
+])  # fmt: skip
+def test_motion_that_cannot_be_read_is_reported(tmp_path: Path, name: str, said: str) -> None:
     (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
-    for name, said in (("none.csv", "No such file"), (".", "directory"), ("binary.csv", "no text")):
-        with pytest.raises(MediaError, match=said):
-            load_imu(tmp_path / name)
+    with pytest.raises(MediaError, match=said):
+        load_imu(tmp_path / name)
 
 
 def test_footage_can_be_read_again_and_again(tmp_path: Path) -> None:

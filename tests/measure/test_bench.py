@@ -15,13 +15,8 @@ from heliograph.measure.bench import block_settings, dithered, is_static, random
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import open_film
 
-OUT_OF_STEP = (
-    "channel.camera.fps=1500",
-    "channel.camera.exposure_s=0.0006",
-    "channel.camera.dropped=0.02",
-    "channel.camera.repeated=0.02",
-    "channel.camera.jitter_s=3e-5",
-)
+OUT_OF_STEP = ("channel.camera.fps=1500", "channel.camera.exposure_s=0.0006", "channel.camera.dropped=0.02",
+               "channel.camera.repeated=0.02", "channel.camera.jitter_s=3e-5")  # fmt: skip
 SMALL = ("signal.data_pairs=8", "channel.camera.width=320", "channel.camera.height=224")
 
 
@@ -40,15 +35,12 @@ def by_film(settings: LinkSettings, seed: int, path: Path) -> ReceptionCounter:
     return reception
 
 
-@pytest.mark.parametrize(
-    ("preset", "changes"),
-    [
-        ("static", ("channel.distance_m=40", "receive.receiver=soft", *OUT_OF_STEP)),
-        ("paper", ("channel.distance_m=60", "channel.duration_s=0.08")),
-        ("static", ("channel.distance_m=100", "receive.receiver=soft")),
-        ("two-arrays", ("channel.distance_m=45", "channel.duration_s=0.09", "channel.arrays.1.start_s=0.02")),
-    ],
-)
+@pytest.mark.parametrize(("preset", "changes"), [
+    ("static", ("channel.distance_m=40", "receive.receiver=soft", *OUT_OF_STEP)),
+    ("paper", ("channel.distance_m=60", "channel.duration_s=0.08")),
+    ("static", ("channel.distance_m=100", "receive.receiver=soft")),
+    ("two-arrays", ("channel.distance_m=45", "channel.duration_s=0.09", "channel.arrays.1.start_s=0.02")),
+])  # fmt: skip
 @pytest.mark.slow
 def test_bench_and_film_give_equal_counts(preset: str, changes: tuple[str, ...], tmp_path: Path) -> None:
     settings = link(preset, *changes)
@@ -59,8 +51,7 @@ def test_bench_and_film_give_equal_counts(preset: str, changes: tuple[str, ...],
     payload = {n: sum(8 * a.layers[n].bytes for a in film.arrays.values()) for n in counts.layers}
     assert counts.payload_bits == payload
     assert sum(payload.values())
-    assert counts.frames == film.frames
-    assert list(counts.bins) == list(film.errors.bins())
+    assert (counts.frames, list(counts.bins)) == (film.frames, list(film.errors.bins()))
     assert counts.false_codewords == film.errors.false_codewords == 0
     assert (counts.false_packets, counts.duplicates) == (film.errors.false_packets, film.errors.duplicates)
 
@@ -78,15 +69,13 @@ def test_no_codeword_is_sent_twice() -> None:
     (sender,) = transmitters(settings, random_messages(settings, 3))
     for name in ("high", "middle", "low"):
         payloads = [block.payload for number in range(packets + 1) for block in sender.blocks(number)[name]]
-        assert len(set(payloads)) == len(payloads)
-        assert len({len(p) for p in payloads}) == 1
+        assert (len(set(payloads)), len({len(p) for p in payloads})) == (len(payloads), 1)
 
 
 def test_packet_cut_by_the_end_of_the_film_is_not_counted() -> None:
     late = link("two-arrays", "channel.speed_m_s=0.0", "channel.shake='none'", "channel.distance_m=40",
                 "channel.arrays.1.start_s=0.013")  # fmt: skip
-    counts = run_block(late, 1)
-    high = counts.layers["high"]
+    high = run_block(late, 1).layers["high"]
     assert (high.codewords, high.codeword_errors, high.packets) == (2, 0, 2)
 
 
@@ -96,10 +85,8 @@ def test_static_blocks_last_a_packet_and_drives_their_duration() -> None:
     assert not is_static(drive)
     for changed in ("vx_m_s=1", "vy_m_s=1", "vz_m_s=1", "off_s=[[0.02,0.03]]"):
         assert not is_static(link("static", f"channel.arrays.0.{changed}"))
-    assert frames_of(block_settings(static)) == 20
-    assert frames_of(block_settings(static, 3)) == 3 * 20
-    assert frames_of(block_settings(drive)) == 500
-    assert frames_of(block_settings(drive, 2)) == 2 * 20
+    assert (frames_of(block_settings(static)), frames_of(block_settings(static, 3))) == (20, 3 * 20)
+    assert (frames_of(block_settings(drive)), frames_of(block_settings(drive, 2))) == (500, 2 * 20)
     assert frames_of(block_settings(load_settings("static", None, ["signal.data_pairs=998"]))) == 2000
 
 
@@ -114,22 +101,21 @@ def test_static_arrays_are_placed_within_a_pixel() -> None:
     assert dithered(drive, 3) == drive
 
 
-def test_window_margin_is_half_an_array() -> None:
-    assert window_margin_px(link("static", "channel.distance_m=80")) == 12
-    assert window_margin_px(link("static", "channel.distance_m=20")) == 24
-    assert window_margin_px(link("static", "channel.distance_m=1")) == 256
+@pytest.mark.parametrize(("distance_m", "margin_px"), [(80, 12), (20, 24), (1, 256)])
+def test_window_margin_is_half_an_array(distance_m: int, margin_px: int) -> None:
+    assert window_margin_px(link("static", f"channel.distance_m={distance_m}")) == margin_px
 
 
-def test_unsuitable_settings_raise_an_error_in_one_line() -> None:
-    with pytest.raises(HeliographError, match="one frame per pattern") as caught:
-        run_block(link("static", "channel.camera.fps=500"), 1)
+@pytest.mark.parametrize(("preset", "change", "message"), [
+    ("static", "channel.camera.fps=500", "one frame per"), ("paper", "channel.duration_s=0.01", "record longer"),
+])  # fmt: skip
+def test_unsuitable_settings_raise_an_error_in_one_line(preset: str, change: str, message: str) -> None:
+    with pytest.raises(HeliographError, match=message) as caught:
+        run_block(link(preset, change), 1)
     assert "\n" not in str(caught.value)
-    with pytest.raises(HeliographError, match="record longer"):
-        run_block(link("paper", "channel.duration_s=0.01"), 1)
 
 
 def places(settings: LinkSettings) -> np.ndarray:
-    """Return (arrays, 2) image centres in px."""
     _, truth = next(simulate(settings, default_messages(settings), 0))
     return np.array([(array.x, array.y) for array in truth.arrays])
 
@@ -137,17 +123,11 @@ def places(settings: LinkSettings) -> np.ndarray:
 @pytest.mark.slow
 def test_images_move_by_half_a_pixel_at_most() -> None:
     """The two arrays are nearer and farther than the scene distance."""
-    settings = scene_link(
-        "channel.distance_m=50",
-        "channel.arrays=[{x_m=-0.4, y_m=0.0, z_offset_m=-20.0}, {x_m=0.4, y_m=0.1, z_offset_m=30.0}]",
-        "transmit.identities=[0, 7]",
-        "channel.duration_s=0.001",
-    )
-    at = places(settings)
-    moves = np.array([places(dithered(settings, seed)) - at for seed in range(60)])
+    arrays = "[{x_m=-0.4, y_m=0.0, z_offset_m=-20.0}, {x_m=0.4, y_m=0.1, z_offset_m=30.0}]"
+    settings = scene_link(f"channel.arrays={arrays}", "transmit.identities=[0, 7]", "channel.duration_s=0.001")
+    moves = np.array([places(dithered(settings, seed)) for seed in range(60)]) - places(settings)
     assert np.abs(moves).max() < 0.501
-    # both arrays cover almost the full pixel in both directions
+    # both arrays cover almost the full pixel in both directions, and their positions are uncorrelated
     assert moves.min(0) == pytest.approx(-0.5, abs=0.06)
     assert moves.max(0) == pytest.approx(0.5, abs=0.06)
-    # their positions are uncorrelated
     assert abs(np.corrcoef(moves[:, 0, 0], moves[:, 1, 0])[0, 1]) < 0.4

@@ -16,46 +16,34 @@ def block(distance_m: float, counts: LayerCounts) -> BlockCounts:
     return BlockCounts(layers, {distance_m: layers}, {"high": 0, "middle": 0, "low": 800}, 5, 4, 1, 2, 3, 0.02, 20)
 
 
-def test_a_packet_is_one_cluster_of_errors() -> None:
+def test_a_packet_is_one_cluster_of_errors_unless_of_another_format() -> None:
     assert (READ.packets, READ.bit_squares, READ.raw_squares, READ.missed) == (1, 9, 400, 0)
     assert (READ.decoded.clusters, READ.decoded.squares, READ.raw.squares) == (1, 9, 400)
     assert (READ.words.trials, READ.words.errors) == (2, 1)
-
-
-def test_a_packet_of_another_format_has_no_bits_and_is_no_cluster() -> None:
     wrong = LayerCounts.of_packet(Count(), Count(), Count(2, 2))
     assert (wrong.packets, wrong.bits, wrong.codeword_errors, wrong.missed) == (0, 0, 2, 0)
 
 
-def test_counts_add_and_subtract_field_by_field() -> None:
+def test_counts_add_and_subtract_field_by_field_and_layer_by_layer() -> None:
     total = READ + MISSED + READ
     assert (total.codewords, total.codeword_errors, total.missed, total.raw_squares) == (6, 4, 2, 800)
-    assert total - READ == READ + MISSED
-    assert total.received == READ + READ
-
-
-def test_pooled_counts_hold_each_layer() -> None:
+    assert (total - READ, total.received) == (READ + MISSED, READ + READ)
     assert pooled([]) == no_errors()
     assert pooled([{"low": READ}, {"low": MISSED}]) == {**no_errors(), "low": READ + MISSED}
 
 
 def test_without_an_error_packets_bound_the_rate_and_bits_that_of_a_single_film() -> None:
     clean = LayerCounts(bits=6000, packets=6)
-    assert clean.decoded.bound == 3 / 6
-    assert clean.decoded_bits.bound == 3 / 6000
+    assert (clean.decoded.bound, clean.decoded_bits.bound) == (3 / 6, 3 / 6000)
 
 
-def test_blocks_add_up_by_layer_and_by_distance() -> None:
+def test_blocks_add_up_by_layer_and_distance_and_survive_json() -> None:
     total = BlockCounts() + block(40.0, READ) + block(70.0, MISSED) + block(40.0, READ)
     assert total.layers["low"] == READ + READ + MISSED
     assert {start: layers["low"] for start, layers in total.bins.items()} == {40.0: READ + READ, 70.0: MISSED}
     assert total.payload_bits == {"high": 0, "middle": 0, "low": 2400}
     assert (total.false_codewords, total.false_packets, total.duplicates, total.frames) == (3, 6, 9, 60)
-    assert (total.packets, total.detected) == (15, 12)
+    assert (total.packets, total.detected, total.codewords) == (15, 12, 6)
     assert total.film_s == pytest.approx(0.06)
-    assert total.codewords == 6
-
-
-def test_blocks_survive_json() -> None:
     one = block(40.0, READ) + block(70.0, MISSED)
     assert BlockCounts.from_plain(json.loads(json.dumps(one.to_plain()))) == one

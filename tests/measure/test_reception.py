@@ -15,7 +15,7 @@ from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Messages, default_messages
 from heliograph.link.truth import FrameTruth, open_truth, truth_path
-from heliograph.measure.journal import Journal, Row, approach, message_row, sentence
+from heliograph.measure.journal import Journal, Row, approach, sentence
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import ReceptionCounter, receive_and_count, receive_film
 from heliograph.media import open_film
@@ -23,7 +23,6 @@ from heliograph.receive import Packet
 from heliograph.receive.events import LostEvent
 from heliograph.receive.packet import Status
 from heliograph.receive.receiver import StreamReceiver
-from heliograph.signal.message import Message
 
 
 @pytest.fixture(scope="module")
@@ -47,8 +46,7 @@ def test_report_is_available_at_any_time(film: Path) -> None:
     high = reception.errors.total()["high"]
     assert (high.codewords, high.codeword_errors, reception.errors.false_codewords) == (3, 0, 0)
     other = ReceptionCounter()
-    assert list(other.add(replace(packet, identity=9, status="no_header"))) == []
-    assert other.arrays == {}
+    assert (list(other.add(replace(packet, identity=9, status="no_header"))), other.arrays) == ([], {})
 
 
 @pytest.mark.slow
@@ -60,8 +58,7 @@ def test_a_film_gives_messages_packets_and_arrays_in_one_call(film: Path) -> Non
     for reception in (by_path, by_name, by_film):
         assert [packet.first_frame for packet in reception.packets] == [0, 100, 200]
         assert reception.arrays.keys() == {0}
-        assert reception.arrays[0].layers["high"].ok == 3
-        assert (reception.messages, reception.incomplete) == ([], [])
+        assert (reception.arrays[0].layers["high"].ok, reception.messages, reception.incomplete) == (3, [], [])
 
 
 @pytest.mark.slow
@@ -94,8 +91,7 @@ def test_results_without_a_packet_are_not_counted(film: Path, monkeypatch: pytes
     settings, reception = link(), ReceptionCounter(open_truth(truth_path(film)))
     with open_film(film) as source:
         found = [packet.first_frame for packet, _ in receive_and_count(source, settings.signal, settings, reception)]
-    assert found == [0, 200]
-    assert reception.arrays[0].packets == 2
+    assert (found, reception.arrays[0].packets) == ([0, 200], 2)
     report = reception.report(1.0)
     assert (report["false_packets"], report["false_codewords"]) == (0, 0)
     assert reception.errors is not None
@@ -118,16 +114,15 @@ class TruthOf:
             yield FrameTruth(index, 1e-3 * index, [50.0], [True])
 
 
+def without_codewords(packet: Packet) -> Packet:
+    failed: dict[str, Any] = {"status": "crc_fail", "block": None}
+    words = {name: tuple(replace(word, **failed) for word in by) for name, by in packet.layers.items()}
+    return replace(packet, status="crc_fail", layers=words)
+
+
 def uncertain(number: int) -> Packet:
     """Return a packet with a header but no codeword, from an array that is not in the film."""
     return without_codewords(replace(perfect(link(), number), identity=22))
-
-
-def without_codewords(packet: Packet) -> Packet:
-    words = {
-        name: tuple(replace(word, status="crc_fail", block=None) for word in by) for name, by in packet.layers.items()
-    }
-    return replace(packet, status="crc_fail", layers=words)
 
 
 def test_identity_without_a_decoded_codeword_is_uncertain() -> None:
@@ -157,12 +152,8 @@ def test_rows_mark_an_identity_as_uncertain_until_a_codeword_is_decoded() -> Non
     for identity in (22, 0):
         journal.observe(LostEvent(identity, 0.3))
     assert [(row["event"], row["id"], row.get("uncertain", False)) for row in rows] == [
-        ("packet", 22, True),
-        ("packet", 0, False),
-        ("packet", 0, False),
-        ("lost", 22, True),
-        ("lost", 0, False),
-    ]
+        ("packet", 22, True), ("packet", 0, False), ("packet", 0, False), ("lost", 22, True), ("lost", 0, False)
+    ]  # fmt: skip
     assert ["uncertain" in sentence(row) for row in rows] == [True, False, False, True, False]
 
 
@@ -185,14 +176,11 @@ def rows() -> list[Row]:
 
 @pytest.mark.slow
 def test_rows_have_distance_speed_and_messages_in_order(rows: list[Row]) -> None:
-    assert rows[0]["event"] == "found"
-    assert rows[0]["distance_m"] == pytest.approx(30, rel=0.05)
+    assert (rows[0]["event"], rows[0]["distance_m"]) == ("found", pytest.approx(30, rel=0.05))
     assert rows[0]["orientation"] == "upright"
     packets = [row for row in rows if row["event"] == "packet" and row["status"] == "ok"]
-    assert len(packets) == 4
-    assert [row["approach_m_s"] for row in packets[:2]] == [None, None]
-    # 30 km/h
-    assert packets[-1]["approach_m_s"] == pytest.approx(8.33, rel=0.3)
+    assert (len(packets), [row["approach_m_s"] for row in packets[:2]]) == (4, [None, None])
+    assert packets[-1]["approach_m_s"] == pytest.approx(8.33, rel=0.3)  # 30 km/h
     messages = {row["layer"]: row for row in rows if row["event"] == "message"}
     assert base64.b64decode(messages["high"]["data"]) == b"\xff\x00"
     assert "text" not in messages["high"]
@@ -207,8 +195,7 @@ def test_rows_have_distance_speed_and_messages_in_order(rows: list[Row]) -> None
 def test_dark_array_is_lost(rows: list[Row]) -> None:
     (lost,) = (row for row in rows if row["event"] == "lost")
     assert lost["distance_m"] < 30
-    assert lost["orientation"] == "upright"
-    assert lost["approach_m_s"] == pytest.approx(8.33, rel=0.3)
+    assert (lost["orientation"], lost["approach_m_s"]) == ("upright", pytest.approx(8.33, rel=0.3))
     assert "array 0 lost, last seen" in sentence(lost)
     nearing = sentence({**lost, "approach_m_s": 8.34})
     assert nearing.endswith(f"last seen {lost['distance_m']:.1f} m away, nearing at 30 km/h, upright")
@@ -222,10 +209,3 @@ def test_speed_is_a_slope() -> None:
     assert approach([(0.0, 50.0)] * 3) is None
     receding = {"event": "packet", "id": 1, "time_s": 2.0, "layers": {}, "distance_m": 9.0, "orientation": "mirrored"}
     assert "receding at 36 km/h, mirrored" in sentence({**receding, "approach_m_s": -10.0})
-
-
-def test_message_is_plain_values() -> None:
-    row = message_row(Message(4, "low", 7, "grün".encode()))
-    assert (row["id"], row["stream"]) == (4, 7)
-    assert row["text"] == "grün"
-    assert row["bytes"] == 5

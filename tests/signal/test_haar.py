@@ -11,7 +11,6 @@ from properties import examples
 from heliograph.signal import haar
 
 Floats = NDArray[np.float64]
-
 seeds = st.integers(0, 2**32 - 1)
 halves = st.integers(1, 10)
 
@@ -20,8 +19,7 @@ def paper_matrix(n: int) -> list[list[int]]:
     """Equation (9), element by element."""
     h = n // 2
     sums = [[int(v // 2 == m) for v in range(n)] for m in range(h)]
-    differences = [[int(v // 2 == m) * (-1) ** v for v in range(n)] for m in range(h)]
-    return sums + differences
+    return sums + [[int(v // 2 == m) * (-1) ** v for v in range(n)] for m in range(h)]
 
 
 def equation_8(d: Floats) -> Floats:
@@ -57,8 +55,7 @@ def test_same_as_pywavelets(half: int, seed: int) -> None:
     mean, (horizontal, vertical, diagonal) = pywt.dwt2(x, "haar", mode="periodization")
     # PyWavelets names details by edge direction: vertical edges are differences along a row, D12
     theirs = np.block([[mean, vertical], [horizontal, diagonal]])
-    # both are orthonormal, 1 / sqrt 2 along each axis
-    assert np.allclose(haar.decode(x), theirs)
+    assert np.allclose(haar.decode(x), theirs)  # both are orthonormal, 1 / sqrt 2 along each axis
     assert np.allclose(haar.inverse_transform(theirs), x)
 
 
@@ -67,14 +64,13 @@ def test_same_as_pywavelets(half: int, seed: int) -> None:
 def test_levels_and_round_trip(half: int, seed: int) -> None:
     d = data(seed, 2, 3, 2 * half, 2 * half)
     levels = haar.encode(d)
-    assert levels.dtype == np.uint8
     assert levels.shape == d.shape
+    assert levels.dtype == np.uint8
     assert levels.max() <= 4
     x = levels.astype(float) - 2
     assert np.array_equal(haar.decode(x), d)
     assert np.array_equal(np.where(haar.decode(x) > 0, 1, -1), d)
-    # the inverse pattern encodes -D
-    assert np.array_equal(haar.encode(-d), 4 - levels)
+    assert np.array_equal(haar.encode(-d), 4 - levels)  # the inverse pattern encodes -D
     assert np.array_equal(haar.encode(d[1, 2]), levels[1, 2])
 
 

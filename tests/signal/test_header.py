@@ -31,8 +31,7 @@ def test_identities_of_a_polynomial_are_orthogonal() -> None:
     gram = flat @ flat.T
     assert np.array_equal(gram[:CHIPS, :CHIPS], 16 * np.eye(CHIPS))
     assert np.array_equal(gram[CHIPS:, CHIPS:], 16 * np.eye(CHIPS))
-    # different polynomials: correlation at most 1/2
-    assert np.abs(gram[:CHIPS, CHIPS:]).max() <= 8
+    assert np.abs(gram[:CHIPS, CHIPS:]).max() <= 8  # different polynomials: correlation at most 1/2
 
 
 def test_identities_stay_apart_at_every_shift() -> None:
@@ -50,8 +49,7 @@ def test_identities_stay_apart_at_every_shift() -> None:
 
 def image(number: int, x: float, y: float, pitch: float) -> NDArray[np.float64]:
     """Render header minus inverse on 40 x 40 pixels with the reference link's blur; full scale is 1."""
-    sigma = np.sqrt(0.5**2 + (pitch / 8) ** 2 / 4)
-    edges = np.arange(41) - 20.0
+    sigma, edges = np.sqrt(0.5**2 + (pitch / 8) ** 2 / 4), np.arange(41) - 20.0
 
     def shares(offset: float) -> NDArray[np.float64]:
         leds = (np.arange(16) - 7.5) * pitch + offset
@@ -95,16 +93,13 @@ def test_autocorrelation_of_every_phase(polynomial: int) -> None:
     for state in range(1, 16):
         chips = m_sequence(polynomial, state)
         assert [int(chips[k]) for k in range(4)] == [state >> k & 1 for k in range(4)]
-        assert periodic_correlation(chips, chips).tolist() == [15] + [-1] * 14
-        assert chips.sum() == 8
+        assert (periodic_correlation(chips, chips).tolist(), chips.sum()) == ([15] + [-1] * 14, 8)
         seen.add(chips.tobytes())
-    # each nonzero state selects a distinct phase
-    assert seen == phases(m_sequence(polynomial))
+    assert seen == phases(m_sequence(polynomial))  # each nonzero state selects a distinct phase
 
 
 @pytest.mark.parametrize("polynomial", [*HEADER_POLYNOMIALS, *PRIMITIVE])
 def test_same_as_scipy(polynomial: int) -> None:
     m = polynomial.bit_length() - 1
-    taps = [i for i in range(1, m) if polynomial >> i & 1]
-    theirs, _ = max_len_seq(m, taps=taps)
+    theirs, _ = max_len_seq(m, taps=[i for i in range(1, m) if polynomial >> i & 1])
     assert phases(m_sequence(polynomial)) == phases(theirs)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from properties import examples
 
 from heliograph.base.errors import SettingsError
-from heliograph.signal.block import unpack
 from heliograph.signal.formats import Format
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.polarity import balance
@@ -41,23 +40,17 @@ def test_data_come_back_and_polarities_are_what_was_done(half: int, count: int, 
     assert d11.shape == (count, half, half)
     assert set(np.unique(d11)) <= {-1, 1}
     assert np.array_equal(unbalance(d11), data)
-    # row 0 keeps its polarity
-    assert np.array_equal(d11[:, 0, 1:], data[:, 0])
+    assert np.array_equal(d11[:, 0, 1:], data[:, 0])  # row 0 keeps its polarity
 
 
-def test_the_running_sum_stays_at_zero() -> None:
+def test_the_running_sum_stays_at_zero_and_even_the_worst_data_are_balanced_over_two_patterns() -> None:
     data = random_data(8, 4000, 1)
     sums = np.cumsum(balance(data).sum((1, 2)))
     assert np.abs(sums).max() <= 8
     assert np.mean(sums == 0) > 0.98
-    # unbalanced random data exceed 8 in almost a third of patterns
-    assert np.mean(np.abs(data.sum((1, 2))) > 8) > 0.2
-
-
-def test_even_the_worst_data_are_balanced_over_two_patterns() -> None:
-    """Identical rows, all ones: seven polarities per eight rows; the eighth row has none."""
-    data = np.ones((40, 8, 7), np.int8)
-    sums = np.cumsum(balance(data).sum((1, 2)))
+    assert np.mean(np.abs(data.sum((1, 2))) > 8) > 0.2  # unbalanced random data exceed 8 in almost a third of patterns
+    # identical rows, all ones: seven polarities per eight rows; the eighth row has none
+    sums = np.cumsum(balance(np.ones((40, 8, 7), np.int8)).sum((1, 2)))
     assert np.abs(sums).max() <= 8
 
 
@@ -69,33 +62,14 @@ def test_packets_have_twice_the_bits_but_for_a_column() -> None:
     assert (single.layers["high"].pairs, single.layers["high"].symbols) == (96, 56)
 
 
-def test_patterns_give_the_blocks_back() -> None:
-    settings = SignalSettings(side=8, data_pairs=21)
-    sender = Transmitter(settings, 7, MESSAGES, [SINGLE])
-    form = sender.format
-    for number, packet in enumerate(islice(sender.packets(), 3)):
-        assert packet.shape == (46, 8, 8)
-        # noiseless receiver: subtract mean level, Haar transform, remove polarity
-        soft = form.soft_data(packet[4:].astype(float) - 2)
-        symbols = {name: layer.reshape(len(soft), -1) for name, layer in form.split(soft).items()}
-        symbols["high"] = (
-            unbalance(np.sign(symbols["high"]).astype(np.int8).reshape(-1, 4, 4)).reshape(42, -1).astype(float)
-        )
-        for name, layer in form.layers.items():
-            bits = layer.code.decode(4 * layer.deinterleave(symbols[name])).bits
-            assert [unpack(row) for row in bits] == sender.blocks(number)[name]
-
-
 def test_a_transmitter_gives_the_same_light_in_every_pattern() -> None:
     formats = [SINGLE, Format(), Format(mode="single", high=0.9)]
     packets = np.concatenate(list(islice(Transmitter(SignalSettings(), 7, MESSAGES, formats).packets(), 30)))
     given = np.cumsum(packets.mean((1, 2)) / 4 - 0.5)
-    # mean excess after every second pattern, in units of full light
-    assert np.abs(given[1::2]).max() < 0.02
+    assert np.abs(given[1::2]).max() < 0.02  # mean excess after every second pattern, in units of full light
     assert np.abs(given[99::100]).max() < 0.02
     inverted = [p.inverted for p in islice(Transmitter(SignalSettings(), 7, MESSAGES, formats).patterns(), 200)]
-    assert sum(inverted[:100]) == 2
-    assert sum(inverted[100:]) == 50
+    assert (sum(inverted[:100]), sum(inverted[100:])) == (2, 50)
 
 
 def test_it_is_a_mode_of_the_hierarchical_code() -> None:

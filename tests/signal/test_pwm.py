@@ -13,11 +13,12 @@ orders = st.permutations(range(4))
 
 
 def test_waveforms_of_the_paper() -> None:
-    """Figure 4: level k/4 lights the LED for the first k/4 T_b."""
+    # figure 4: level k/4 lights the LED for the first k/4 T_b
     levels = np.arange(5).reshape(5, 1, 1)
     expected = [[0, 0, 0, 0], [1, 0, 0, 0], [1, 1, 0, 0], [1, 1, 1, 0], [1, 1, 1, 1]]
     assert pwm.lit_slots(levels)[..., 0, 0].tolist() == np.array(expected, bool).tolist()
     assert pwm.waveform(levels).tolist() == np.ravel(expected).tolist()
+    assert pwm.waveform(np.array([[[4, 0], [1, 2]]])).tolist() == [0.75, 0.5, 0.25, 0.25]
 
 
 def test_slots_are_lit_in_their_order() -> None:
@@ -33,13 +34,6 @@ def test_pattern_and_inverse_make_a_constant(order: list[int], seed: int) -> Non
     inverse = pwm.invert(levels)
     assert inverse.dtype == np.uint8
     assert np.all(levels + inverse == 4)
-    both = np.stack([levels, inverse], 1).reshape(-1, 4, 4)
-    flux = pwm.waveform(both, order).reshape(5, 8)
-    # eight slots, each LED lit in four
-    assert np.allclose(flux.sum(1), 4)
+    flux = pwm.waveform(np.stack([levels, inverse], 1).reshape(-1, 4, 4), order).reshape(5, 8)
+    assert np.allclose(flux.sum(1), 4)  # eight slots, each LED lit in four
     assert np.array_equal(pwm.invert(inverse), levels)
-
-
-def test_waveform_is_the_share_of_leds() -> None:
-    levels = np.array([[[4, 0], [1, 2]]])
-    assert pwm.waveform(levels).tolist() == [0.75, 0.5, 0.25, 0.25]

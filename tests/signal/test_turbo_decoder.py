@@ -18,6 +18,7 @@ from heliograph.signal.turbo.qpp import interleaver
 
 ALGORITHMS: list[Algorithm] = ["max-log", "log-map"]
 TOY_ORDER = np.array([3, 0, 6, 1, 4, 7, 2, 5])
+SILENT = np.zeros(132)
 Floats = NDArray[np.float64]
 
 
@@ -30,17 +31,11 @@ def noisy(code: TurboCode, blocks: int, ebn0_db: float, seed: int) -> tuple[NDAr
     return bits, 2 * samples / variance
 
 
-def all_words(k: int) -> NDArray[np.uint8]:
-    return (np.arange(2**k)[:, None] >> np.arange(k) & 1).astype(np.uint8)
-
-
 def by_enumeration(words: NDArray[np.uint8], llr: Floats, algorithm: Algorithm) -> Floats:
     """Compute a-posteriori bit LLRs by enumerating all codewords."""
     log_p = llr @ (1.0 - words.T)
     total: Any = np.max if algorithm == "max-log" else logsumexp
-    columns = [
-        total(log_p[:, bit == 0], axis=1) - total(log_p[:, bit == 1], axis=1) for bit in words.T.astype(np.int64)
-    ]
+    columns = [total(log_p[:, bit == 0], axis=1) - total(log_p[:, bit == 1], axis=1) for bit in words.T.astype(int)]
     return np.stack(columns, axis=1)
 
 
@@ -48,7 +43,7 @@ def by_enumeration(words: NDArray[np.uint8], llr: Floats, algorithm: Algorithm) 
 @pytest.mark.parametrize("spread", [0.5, 3.0, 30.0])
 def test_one_siso_is_the_exact_posterior(algorithm: Algorithm, spread: float) -> None:
     """All bits, tail included, against enumeration of 256 words from the terminated constituent code."""
-    info_words = all_words(8)
+    info_words = (np.arange(256)[:, None] >> np.arange(8) & 1).astype(np.uint8)
     words = np.concatenate([info_words, *encode_constituent(info_words)], axis=1)
     llr = np.random.default_rng(3).normal(scale=spread, size=(20, 22))
     posterior = reference.siso(llr[:, :8], llr[:, 8:16], llr[:, 16:], algorithm)
@@ -60,8 +55,7 @@ def test_one_siso_is_the_exact_posterior(algorithm: Algorithm, spread: float) ->
 @pytest.mark.parametrize("stop", ["none", "agreement"])
 @pytest.mark.slow
 def test_kernel_is_the_reference(algorithm: Algorithm, order: NDArray[np.int64], stop: Stop) -> None:
-    rng = np.random.default_rng(5)
-    k, blocks = len(order), 9
+    rng, k, blocks = np.random.default_rng(5), len(order), 9
     bits = rng.integers(0, 2, (blocks, k), dtype=np.uint8)
     mother = encode_mother(bits, order)
     llr = (2.0 * (1 - 2.0 * mother) + 2 * rng.normal(size=mother.shape)).astype(np.float32)
@@ -88,8 +82,7 @@ def test_correction_of_log_map() -> None:
     a = np.float32(3.0)
     for b in np.append(np.linspace(-20, 20, 801, dtype=np.float32), IMPOSSIBLE):
         for pair in ((a, b), (b, a)):
-            assert add(*pair, True) == pytest.approx(np.logaddexp(*pair), abs=0.0325)
-            assert add(*pair, None) == max(pair)
+            assert (add(*pair, True), add(*pair, None)) == (pytest.approx(np.logaddexp(*pair), abs=0.0325), max(pair))
 
 
 @pytest.mark.real_data
@@ -100,8 +93,7 @@ def test_sionna_decisions(data: Path, k: int) -> None:
     bits, samples, theirs = (np.load(data / "turbo" / f"ref_k{k}_{name}.npy") for name in ("u", "y", "uhat"))
     llr = 4.0 * samples / 3
     options = DecoderOptions(algorithm="log-map", iterations=10, stop="none")
-    exact = reference.decode(llr, interleaver(k), options).llr < 0
-    assert np.array_equal(exact, theirs)
+    assert np.array_equal(reference.decode(llr, interleaver(k), options).llr < 0, theirs)
     ours = TurboCode(k=k).decode(llr, algorithm="log-map", iterations=10, stop="none").bits
     right = (theirs == bits).all(axis=1)
     assert np.array_equal(ours[right], bits[right])
@@ -200,23 +192,20 @@ def test_repeated_bits_have_one_posterior() -> None:
     assert np.allclose(posterior[:, :120:3], result.llr, atol=1e-4)
 
 
-INVALID: list[tuple[Any, dict[str, Any], str]] = [
+@pytest.mark.parametrize(("llr", "options", "message"), [
     (np.zeros((2, 131)), {}, r"llr must have 132 values a block .* shape \(2, 131\)"),
     (np.full(132, np.nan), {}, r"llr must not hold NaN; 132 of 132"),
-    (np.zeros(132), {"algorithm": "sova"}, "setting 'algorithm': input should be 'max-log' or 'log-map', not 'sova'"),
-    (np.zeros(132), {"stop": "soon"}, "setting 'stop'"),
-    (np.zeros(132), {"iterations": 0}, "setting 'iterations': .* equal to 1, not 0"),
-    (np.zeros(132), {"scale": 1.5}, "setting 'scale': .* equal to 1, not 1.5"),
-    (np.zeros(132), {"scale": float("nan")}, "setting 'scale'"),
-    (np.zeros(132), {"stop": "crc"}, 'stop is "crc" and check is None'),
-    (np.zeros(132), {"stop": "agreement", "check": len}, 'stop is "agreement" and check is <built-in'),
-]
-
-
-def test_invalid_llrs_and_options_are_refused() -> None:
-    for llr, options, message in INVALID:
-        with pytest.raises(ValueError, match=message):
-            TurboCode(k=40).decode(llr, **options)
+    (SILENT, {"algorithm": "sova"}, "setting 'algorithm': input should be 'max-log' or 'log-map', not 'sova'"),
+    (SILENT, {"stop": "soon"}, "setting 'stop'"),
+    (SILENT, {"iterations": 0}, "setting 'iterations': .* equal to 1, not 0"),
+    (SILENT, {"scale": 1.5}, "setting 'scale': .* equal to 1, not 1.5"),
+    (SILENT, {"scale": float("nan")}, "setting 'scale'"),
+    (SILENT, {"stop": "crc"}, 'stop is "crc" and check is None'),
+    (SILENT, {"stop": "agreement", "check": len}, 'stop is "agreement" and check is <built-in'),
+])  # fmt: skip
+def test_invalid_llrs_and_options_are_refused(llr: Floats, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        TurboCode(k=40).decode(llr, **options)
 
 
 @pytest.mark.parametrize(("algorithm", "blocks", "limit"), [("max-log", 2048, 0.17), ("log-map", 1024, 0.08)])
@@ -237,29 +226,20 @@ def test_scaling_pays() -> None:
     assert errors[0] > 2 * errors[1]
 
 
-LIMIT = 1e4
-
-
-def llrs(size: float) -> tuple[TurboCode, NDArray[np.float64]]:
-    """Return noisy codeword LLRs with mean magnitude `size`."""
-    rng, code = np.random.default_rng(0), TurboCode(k=104, coded_bits=312)
-    signs = 1.0 - 2.0 * code.encode(rng.integers(0, 2, 104))
-    return code, size * (signs + rng.normal(0, 0.5, 312))
-
-
 @pytest.mark.parametrize("size", [10.0, 100.0, 1000.0])
 def test_max_log_is_linear_in_its_llrs(size: float) -> None:
-    """Doubled input LLRs give equal bits and doubled output LLRs."""
-    code, llr = llrs(size)
+    code = TurboCode(k=104, coded_bits=312)
+    llr = size * noisy(code, 1, 6.0, 0)[1][0] / 8
     once, twice = (code.decode(factor * llr, algorithm="max-log", iterations=2, coded_output=True) for factor in (1, 2))
     assert np.array_equal(once.bits, twice.bits)
     assert twice.llr == pytest.approx(2 * once.llr, rel=1e-4)
 
 
 def test_beyond_the_limit_llrs_are_all_the_same() -> None:
-    code, llr = llrs(1.0)
-    signs = np.sign(llr)
-    at, beyond = (code.decode(signs * size, algorithm="max-log", iterations=2) for size in (LIMIT, 100 * LIMIT))
-    below = code.decode(signs * 0.5 * LIMIT, algorithm="max-log", iterations=2)
-    assert np.array_equal(at.llr, beyond.llr)
-    assert not np.allclose(at.llr, below.llr)
+    code, limit = TurboCode(k=104, coded_bits=312), 1e4
+    signs = np.sign(noisy(code, 1, 6.0, 0)[1][0])
+    below, at, beyond = (
+        code.decode(signs * size, algorithm="max-log", iterations=2).llr for size in (limit / 2, limit, 100 * limit)
+    )
+    assert np.array_equal(at, beyond)
+    assert not np.allclose(at, below)

@@ -4,6 +4,7 @@ import csv
 import re
 from math import gcd
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,10 +38,8 @@ def test_every_interleaver_is_a_permutation_with_the_qpp_property() -> None:
     for k in QPP_SIZES:
         order = interleaver(k)
         assert np.array_equal(np.sort(order), np.arange(k))
-        # permutation polynomial: f1 is coprime to K (Sun and Takeshita, 2005)
-        assert gcd(coefficients(k)[0], k) == 1
-        # parity-preserving: contention-free parallel memory access
-        assert np.array_equal(order % 2, np.arange(k) % 2)
+        assert gcd(coefficients(k)[0], k) == 1  # permutation polynomial: f1 is coprime to K (Sun and Takeshita, 2005)
+        assert np.array_equal(order % 2, np.arange(k) % 2)  # parity-preserving: contention-free parallel memory access
 
 
 @pytest.mark.real_data
@@ -75,12 +74,10 @@ MATLAB_CALLS = [(8, 10, 0), (8, 100, 2), (24, 60, 1), (24, 600, 0), (836, 5796, 
 
 @pytest.mark.real_data
 def test_matlab_rate_matching(data: Path) -> None:
-    """Compare rate matching for redundancy version 0 in five consecutive calls.
+    """Redundancy version 0 in the calls of test_rateMatchTurbo.m in microsoft/OTP4LTE-U, all with Ncb = Kw.
 
-    Source: test_rateMatchTurbo.m in microsoft/OTP4LTE-U. The input repeats a 32-bit pattern; the calls use 2700 of
-    4160 bits. Each call reads 3 D bits as streams S, P1, P2 in block order and yields E bits (6566 in total, see
-    MATLAB_CALLS). D need not equal K + 4. All calls have Ncb = Kw and cover puncturing, repetition and dummy bits:
-    D = 8, 24 and 836 leave rectangles incomplete.
+    Each call reads 3 D bits as streams S, P1, P2 in block order and yields E bits; D need not equal K + 4. The calls
+    cover puncturing, repetition and dummy bits: D = 8, 24 and 836 leave rectangles incomplete.
     """
     folder = data / "turbo" / "matlab"
     pattern = read_bits(folder / "test_rateMatchTurbo.infile")
@@ -100,16 +97,14 @@ def test_distinguishing_bits_differ_by_chance_however_alike_the_blocks_are(coded
     """Blocks differ in a few bits; the interleaved second encoder then changes half its output bits."""
     rng, code = np.random.default_rng(1), TurboCode(k=104, coded_bits=coded_bits)
     assert code.distinguishing.shape == (code.length,)
-    block = rng.integers(0, 2, 104)
-    parts = []
+    block, parts = rng.integers(0, 2, 104), []
     for _ in range(200):
         other = block.copy()
         other[rng.integers(60, 70, 3)] ^= 1
         parts.append(code.encode(block) != code.encode(other))
     differ = np.array([part for part in parts if part.any()])
     assert differ[:, code.distinguishing].mean() > 1.5 * differ[:, ~code.distinguishing].mean()
-    # a third of the mother code bits; higher rates puncture some
-    assert 0.1 < code.distinguishing.mean() < 0.4
+    assert 0.1 < code.distinguishing.mean() < 0.4  # a third of the mother code bits; higher rates puncture some
 
 
 def test_encode_takes_any_leading_shape() -> None:
@@ -123,27 +118,20 @@ def test_encode_takes_any_leading_shape() -> None:
     assert np.array_equal(code.encode(bits.astype(bool)), coded)
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"k": 1000}, r"not 1000; the nearest is 992 or 1008"),
-        ({"k": 7}, r"not 7; the nearest is 40"),
-        ({"k": 9000}, r"not 9000; the nearest is 6144"),
-        ({"k": 1024, "coded_bits": 1137}, r"k = 1024 at rate 9/10 .* coded_bits >= 1138, not 1137"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "message"), [
+    ({"k": 1000}, r"not 1000; the nearest is 992 or 1008"), ({"k": 7}, r"not 7; the nearest is 40"),
+    ({"k": 9000}, r"not 9000; the nearest is 6144"),
+    ({"k": 1024, "coded_bits": 1137}, r"k = 1024 at rate 9/10 .* coded_bits >= 1138, not 1137"),
+])  # fmt: skip
 def test_settings_that_make_no_code(settings: dict[str, int], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
         TurboCode(**settings)
 
 
-def test_bits_that_are_none() -> None:
-    code = TurboCode(k=40)
-    with pytest.raises(ValueError, match=r"40 values a block .* shape \(41,\)"):
-        code.encode(np.zeros(41, dtype=np.uint8))
-    with pytest.raises(ValueError, match="0 or 1, not int64 up to 2"):
-        code.encode(np.full(40, 2))
-    with pytest.raises(ValueError, match="not float64"):
-        code.encode(np.zeros(40))
-    with pytest.raises(ValueError, match=r"not shape \(\)"):
-        code.encode(1)
+@pytest.mark.parametrize(("bits", "message"), [
+    (np.zeros(41, np.uint8), r"40 values a block .* shape \(41,\)"), (np.full(40, 2), "0 or 1, not int64 up to 2"),
+    (np.zeros(40), "not float64"), (1, r"not shape \(\)"),
+])  # fmt: skip
+def test_bits_that_are_none(bits: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        TurboCode(k=40).encode(bits)

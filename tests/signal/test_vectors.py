@@ -1,13 +1,10 @@
-"""Published vectors against the package and an independent implementation from docs/air-interface.md.
-
-The independent implementation is pure Python and parses the document's tables.
-"""
+"""Published vectors against the package and a pure Python implementation from docs/air-interface.md and its tables."""
 
 import hashlib
 import json
 import re
 import runpy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -20,23 +17,10 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "vectors"
 DOCUMENT = (ROOT / "docs" / "air-interface.md").read_text(encoding="utf-8")
 LAYERS = ["high", "middle", "low"]
-
 Matrix = list[list[int]]
-
-# Tables from the document
-
 QPP = {int(k): (int(f1), int(f2)) for k, f1, f2 in re.findall(r"(\d+): (\d+) (\d+)", DOCUMENT)}
 RATES = [float(Fraction(r)) for r in re.findall(r"\d+/\d+", re.findall(r"(?m)^   \| rate \|.*$", DOCUMENT)[0])]
 COLUMNS = [int(c) for c in re.findall(r"T = ([\d ]+)", DOCUMENT)[0].split()]
-
-
-def cells_of_the_document() -> list[str]:
-    # three groups with four lines, each with ten cells
-    lines = [line.split() for line in re.findall(r"(?m)^(?: +[#.]{4}){10}$", DOCUMENT)]
-    return ["/".join(lines[first + r][i] for r in range(4)) for first in (0, 4, 8) for i in range(10)]
-
-
-# Rules by section
 
 
 def header(identity: int) -> Matrix:
@@ -57,8 +41,7 @@ def header_pattern(identity: int, n: int) -> Matrix:
 
 def word(form: int) -> Matrix:
     """Section 4.1: word per cell."""
-    f = [form >> bit & 1 for bit in range(11)]
-    cells = []
+    f, cells = [form >> bit & 1 for bit in range(11)], []
     for i in range(4):
         v2, v3, row = i % 2, i // 2, []
         for j in range(4):
@@ -72,10 +55,8 @@ def word(form: int) -> Matrix:
 
 def dimmed_pattern(identity: int, form: int, n: int) -> Matrix:
     """Section 4.1: later header pairs."""
-    dim, full = word(form), header_pattern(identity, n)
-    return [
-        [{0: 1, 4: 3}[full[u][v]] if dim[u * 4 // n][v * 4 // n] else full[u][v] for v in range(n)] for u in range(n)
-    ]
+    dim, full, r = word(form), header_pattern(identity, n), range(n)
+    return [[{0: 1, 4: 3}[full[u][v]] if dim[u * 4 // n][v * 4 // n] else full[u][v] for v in r] for u in r]
 
 
 def inverse(pattern: Matrix) -> Matrix:
@@ -106,18 +87,20 @@ def crc32(data: bytes) -> int:
     for byte in data:
         register ^= byte
         for _ in range(8):
-            # 0xEDB88320 is 0x04C11DB7 bit-reversed
-            register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)
+            register = register >> 1 ^ (0xEDB88320 if register & 1 else 0)  # 0xEDB88320 is 0x04C11DB7 bit-reversed
     return register ^ 0xFFFFFFFF
+
+
+def sealed(body: bytes, k: int) -> bytes:
+    """Section 7: padding and check sum."""
+    body += bytes(k // 8 - 4 - len(body))
+    return body + crc32(body).to_bytes(4, "big")
 
 
 def block(layer: str, identity: int, stream: int, sequence: int, length: int, payload: bytes, k: int) -> bytes:
     """Section 7."""
-    head = bytes([16 + LAYERS.index(layer), identity, stream, sequence >> 8, sequence & 255])
-    head += bytes([length >> 16, length >> 8 & 255, length & 255])
-    body = head + payload + bytes(k // 8 - 12 - len(payload))
-    crc = crc32(body)
-    return body + bytes([crc >> 24, crc >> 16 & 255, crc >> 8 & 255, crc & 255])
+    head = bytes([16 + LAYERS.index(layer), identity, stream]) + sequence.to_bytes(2, "big") + length.to_bytes(3, "big")
+    return sealed(head + payload, k)
 
 
 def product(a: int, b: int) -> int:
@@ -156,25 +139,16 @@ def symbol(sent: bytes, size: int, number: int) -> bytes:
 def file_block(sent: bytes, number: int, size: int, k: int) -> bytes:
     """Section 7.1, array 7, low layer."""
     head = bytes([16 + 4 + 2, 7, 0]) + number.to_bytes(3, "big") + len(sent).to_bytes(3, "big")
-    body = head + size.to_bytes(2, "big") + crc32(sent).to_bytes(4, "big")
-    body += b"".join(symbol(sent, size, number + i) for i in range((k // 8 - 19) // size))
-    body += bytes(k // 8 - 4 - len(body))
-    return body + crc32(body).to_bytes(4, "big")
+    head += size.to_bytes(2, "big") + crc32(sent).to_bytes(4, "big")
+    return sealed(head + b"".join(symbol(sent, size, number + i) for i in range((k // 8 - 19) // size)), k)
 
 
 def small_file_block(sent: bytes, number: int, size: int, k: int, notice: bool) -> bytes:
     """Section 7.2, array 7, low layer."""
     check = crc32(sent).to_bytes(4, "big")
     if notice:
-        body = bytes([16 + 12 + 2, 7]) + len(sent).to_bytes(3, "big") + check
-    else:
-        body = bytes([16 + 8 + 2, 7, check[0]]) + number.to_bytes(2, "big") + symbol(sent, size, number)
-    body += bytes(k // 8 - 4 - len(body))
-    return body + crc32(body).to_bytes(4, "big")
-
-
-def bits_of(data: bytes) -> list[int]:
-    return [byte >> 7 - i & 1 for byte in data for i in range(8)]
+        return sealed(bytes([16 + 12 + 2, 7]) + len(sent).to_bytes(3, "big") + check, k)
+    return sealed(bytes([16 + 8 + 2, 7, check[0]]) + number.to_bytes(2, "big") + symbol(sent, size, number), k)
 
 
 def carousel(layer: str, identity: int, messages: list[bytes], k: int) -> list[bytes]:
@@ -271,22 +245,20 @@ def cell_of(layer: int, c: int, h: int) -> tuple[int, int]:
     return (row, h + column) if c < h * h else (h + row, column)
 
 
-def balanced(data: list[list[list[int]]], ahead: int) -> tuple[list[Matrix], int]:
-    """Section 6.3: return D11 per pattern from rows with h - 1 data, and the running D11 sum."""
+def balanced(data: list[list[list[int]]], ahead: int) -> list[Matrix]:
+    """Section 6.3: return D11 per pattern from rows with h - 1 data."""
     found = []
     for rows in data:
         ahead += sum(rows[0])
-        sums = [1 + sum(row) for row in rows]
-        polarity = [1] * len(rows)
+        sums, polarity = [1 + sum(row) for row in rows], [1] * len(rows)
         for i in sorted(range(1, len(rows)), key=lambda i: (-abs(sums[i]), i)):
             polarity[i] = -1 if ahead * sums[i] > 0 else 1
             ahead += polarity[i] * sums[i]
         free = -1 if ahead > 0 else 1
         ahead += free
-        found.append(
-            [[s if i else free, *(s * d for d in row)] for i, (s, row) in enumerate(zip(polarity, rows, strict=True))]
-        )
-    return found, ahead
+        signed = zip(polarity, rows, strict=True)
+        found.append([[s if i else free, *(s * d for d in row)] for i, (s, row) in enumerate(signed)])
+    return found
 
 
 def blocks_of(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -> list[list[bytes]]:
@@ -314,9 +286,13 @@ def messages_of(case: dict[str, Any], name: str) -> list[bytes]:
     return [bytes.fromhex(text) for text in own]
 
 
+def rate_codes(form: int) -> list[int]:
+    return [form >> place & 7 for place in (6, 3, 0)]
+
+
 def rates_of(case: dict[str, Any], form: int) -> list[float]:
     """Section 4.1: rates for the high, middle and low layer."""
-    codes = [form >> place & 7 for place in (6, 3, 0)]
+    codes = rate_codes(form)
     return [RATES[code - 1] if code else agreed for code, agreed in zip(codes, case["rate"], strict=True)]
 
 
@@ -329,10 +305,9 @@ def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -
     for layer, sent in enumerate(blocks_of(case, forms, number)):
         _, _, e = sizes_of(case, form, layer)
         for i, one in enumerate(sent):
-            coded = rate_match(mother(bits_of(one)), e)
+            coded = rate_match(mother([byte >> 7 - i & 1 for byte in one for i in range(8)]), e)
             for j, (bit, chip) in enumerate(zip(coded, whitening(e, layer, i), strict=True)):
-                cells = (h * (h - single), 2 * h * h, h * h)[layer]
-                pair, cell = place(i * e + j, pairs, cells)
+                pair, cell = place(i * e + j, pairs, (h * (h - single), 2 * h * h, h * h)[layer])
                 row, column = (cell // (h - 1), 1 + cell % (h - 1)) if single and not layer else cell_of(layer, cell, h)
                 d[pair][row][column] = 1 - 2 * (bit ^ chip)
     modulate = haar if case["modulation"] == "haar" else ook
@@ -341,14 +316,11 @@ def packet(case: dict[str, Any], forms: Sequence[int] = (0,), number: int = 0) -
     if not single:
         return [both for pattern in head + [modulate(matrix) for matrix in d] for both in (pattern, inverse(pattern))]
     ahead = sum(2 * sum(map(sum, p)) - 4 * n * n for p in packet(case, forms, number - 1)) // 4 if number else 0
-    d11, _ = balanced([[row[1:h] for row in matrix[:h]] for matrix in d], ahead)
+    d11 = balanced([[row[1:h] for row in matrix[:h]] for matrix in d], ahead)
     for matrix, quarter in zip(d, d11, strict=True):
         for row, new in zip(matrix, quarter, strict=False):
             row[:h] = new
     return [both for pattern in head for both in (pattern, inverse(pattern))] + [haar(matrix) for matrix in d]
-
-
-# Vector files
 
 
 def load(name: str) -> dict[str, Any]:
@@ -364,12 +336,15 @@ def digits(bits: list[int]) -> str:
     return "".join(map(str, bits))
 
 
+def digest(patterns: list[Matrix]) -> str:
+    return hashlib.sha256(bytes(level for pattern in patterns for row in pattern for level in row)).hexdigest()
+
+
 def test_files_are_what_the_code_gives() -> None:
     made: dict[str, str] = runpy.run_path(str(ROOT / "scripts" / "make_vectors.py"))["vectors"]()
     assert {path.name for path in FOLDER.glob("*.json")} == set(made)
     for name, text in made.items():
-        # avoid pytest's diff over thousands of digits
-        same = (FOLDER / name).read_text(encoding="utf-8") == text
+        same = (FOLDER / name).read_text(encoding="utf-8") == text  # avoid pytest's diff over thousands of digits
         assert same, f"docs/vectors/{name} is out of date; run scripts/make_vectors.py"
         assert json.loads(text)["about"]
     assert sum(map(len, made.values())) < 200_000
@@ -377,32 +352,59 @@ def test_files_are_what_the_code_gives() -> None:
 
 
 def test_tables_of_the_document() -> None:
-    assert tuple(QPP) == QPP_SIZES
-    assert sorted(COLUMNS) == list(range(32))
+    assert (tuple(QPP), sorted(COLUMNS)) == (QPP_SIZES, list(range(32)))
     drawn = ["/".join("".join(".#"[chip] for chip in row) for row in header(i)) for i in range(30)]
-    assert cells_of_the_document() == drawn
+    # three groups with four lines, each with ten cells
+    lines = [line.split() for line in re.findall(r"(?m)^(?: +[#.]{4}){10}$", DOCUMENT)]
+    assert ["/".join(lines[first + r][i] for r in range(4)) for first in (0, 4, 8) for i in range(10)] == drawn
 
 
-def test_haar() -> None:
-    for case in load("haar")["cases"]:
-        d = [[1 if sign == "+" else -1 for sign in row] for row in case["d"]]
-        assert text_rows(haar(d)) == case["levels"]
-        assert text_rows(inverse(haar(d))) == case["inverse"]
+def haar_fields(case: dict[str, Any]) -> dict[str, Any]:
+    levels = haar([[1 if sign == "+" else -1 for sign in row] for row in case["d"]])
+    return {"levels": text_rows(levels), "inverse": text_rows(inverse(levels))}
 
 
-def test_header() -> None:
-    vector = load("header")
-    assert ["/".join(text_rows(header(i))) for i in range(30)] == vector["all_cells"]
-    for case in vector["cases"]:
-        assert text_rows(header_pattern(case["identity"], 8)) == case["levels_side_8"]
+def format_fields(case: dict[str, Any]) -> dict[str, Any]:
+    rates = [RATES[code - 1] if code else None for code in rate_codes(case["format"])]
+    dimmed = dimmed_pattern(7, case["format"], 8)
+    return {"rate": rates, "word": text_rows(word(case["format"])), "levels_side_8": text_rows(dimmed)}
 
 
-def test_formats() -> None:
-    for case in load("formats")["cases"]:
-        codes = [case["format"] >> place & 7 for place in (6, 3, 0)]
-        assert [RATES[code - 1] if code else None for code in codes] == case["rate"]
-        assert text_rows(word(case["format"])) == case["word"]
-        assert text_rows(dimmed_pattern(7, case["format"], 8)) == case["levels_side_8"]
+def block_fields(case: dict[str, Any]) -> dict[str, Any]:
+    numbers = (case["identity"], case["stream"], case["sequence"], case["length"])
+    return {"block": block(case["layer"], *numbers, bytes.fromhex(case["payload"]), case["k"]).hex()}
+
+
+def turbo_fields(case: dict[str, Any]) -> dict[str, Any]:
+    streams = mother([int(bit) for bit in case["bits"]])
+    return {"d0_d1_d2": [digits(stream) for stream in streams], "sent": digits(rate_match(streams, case["e"]))}
+
+
+def interleaver_fields(case: dict[str, Any]) -> dict[str, Any]:
+    places = [place(j, case["data_pairs"], case["cells"]) for j in range(len(case["pair_of_j"]))]
+    return {"pair_of_j": [pair for pair, _ in places], "cell_of_j": [cell for _, cell in places]}
+
+
+FIELDS: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "haar": haar_fields,
+    "header": lambda case: {"levels_side_8": text_rows(header_pattern(case["identity"], 8))},
+    "formats": format_fields,
+    "block": block_fields,
+    "turbo": turbo_fields,
+    "whitening": lambda case: {"chips": digits(whitening(64, LAYERS.index(case["layer"]), case["codeword"]))},
+    "interleaver": interleaver_fields,
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_vectors_follow_the_document(name: str) -> None:
+    for case in load(name)["cases"]:
+        assert not [key for key, value in FIELDS[name](case).items() if value != case[key]]
+
+
+def test_header_and_check_sum() -> None:
+    assert ["/".join(text_rows(header(i))) for i in range(30)] == load("header")["all_cells"]
+    assert crc32(b"123456789") == 0xCBF43926
 
 
 @pytest.mark.parametrize(("name", "count"), [("packet_formats", 2), ("packet_single", 1), ("packet_short", 1)])
@@ -416,8 +418,7 @@ def test_packets_that_name_their_format(name: str, count: int) -> None:
         assert [[bytes.fromhex(one) for one in sent["blocks"][name]] for name in LAYERS] == expected
         patterns = packet(case, forms, number)
         assert ["/".join(text_rows(pattern)) for pattern in patterns[: len(sent["patterns"])]] == sent["patterns"]
-        levels = bytes(level for pattern in patterns for row in pattern for level in row)
-        assert hashlib.sha256(levels).hexdigest() == sent["sha256"]
+        assert digest(patterns) == sent["sha256"]
 
 
 def test_files() -> None:
@@ -430,32 +431,6 @@ def test_files() -> None:
     assert [file_block(sent, number, 22, 336).hex() for number in range(4)] == vector["blocks"]
     for number, made in enumerate(vector["small_blocks"]):
         assert small_file_block(sent, number, 8, 136, notice=number == 4).hex() == made
-
-
-def test_block() -> None:
-    assert crc32(b"123456789") == 0xCBF43926
-    for case in load("block")["cases"]:
-        numbers = (case["identity"], case["stream"], case["sequence"], case["length"])
-        made = block(case["layer"], *numbers, bytes.fromhex(case["payload"]), case["k"])
-        assert made.hex() == case["block"]
-
-
-def test_turbo() -> None:
-    for case in load("turbo")["cases"]:
-        streams = mother([int(bit) for bit in case["bits"]])
-        assert [digits(stream) for stream in streams] == case["d0_d1_d2"]
-        assert digits(rate_match(streams, case["e"])) == case["sent"]
-
-
-def test_whitening() -> None:
-    for case in load("whitening")["cases"]:
-        assert digits(whitening(64, LAYERS.index(case["layer"]), case["codeword"])) == case["chips"]
-
-
-def test_interleaver() -> None:
-    for case in load("interleaver")["cases"]:
-        found = [place(j, case["data_pairs"], case["cells"]) for j in range(len(case["pair_of_j"]))]
-        assert found == list(zip(case["pair_of_j"], case["cell_of_j"], strict=True))
 
 
 @pytest.mark.parametrize("name", ["packet_small", "packet_ook", "packet_default"])
@@ -472,5 +447,4 @@ def test_packet(name: str) -> None:
     for i, expected in shown.items() if isinstance(shown, dict) else enumerate(shown):
         rows = text_rows(patterns[int(i)])
         assert (rows if isinstance(expected, list) else "/".join(rows)) == expected
-    levels = bytes(level for pattern in patterns for row in pattern for level in row)
-    assert hashlib.sha256(levels).hexdigest() == case["sha256"]
+    assert digest(patterns) == case["sha256"]

@@ -28,9 +28,8 @@ def test_patterns_are_on_time_with_part_and_inverse() -> None:
     # multiplied, not accumulated, so a long transmission does not drift
     assert [p.time_s for p in shown] == [i * 2e-3 for i in range(len(shown))]
     for p in shown:
-        assert p.levels.shape == (8, 8)
+        assert (p.levels.shape, p.part) == ((8, 8), "header" if p.index % 46 < 4 else "data")
         assert p.levels.dtype == np.uint8
-        assert p.part == ("header" if p.index % 46 < 4 else "data")
         assert p.inverted == bool(p.index % 2)
         if p.part == "header":
             assert np.array_equal(p.levels, 4 - lit if p.inverted else lit)
@@ -73,18 +72,15 @@ def test_every_size_of_block_brings_the_messages() -> None:
         assert found == [i % count for i in range(len(found))]
 
 
-@pytest.mark.parametrize(
-    ("settings", "identity", "messages", "message"),
-    [
-        (SMALL, 0, {"top": [b""]}, "layers are high, middle, low, not top"),
-        (SMALL, 30, {}, "identity is a whole number, 0 to 29, not 30"),
-        (SignalSettings(side=8, data_pairs=20), 0, {"high": [bytes(65537)]}, "at most 65536 bytes, not 65537"),
-        (SignalSettings(side=4, data_pairs=10), 0, {}, r"raise signal\.data_pairs"),
-        (SMALL, 3, {"high": [Updates(())]}, "in order"),
-        (SMALL, 3, {"high": [Updates(((1.0, b"b"), (0.0, b"a")))]}, "in order"),
-        (SMALL, 3, {"high": [Updates(((0.0, "text"),))]}, "in order"),  # type: ignore[arg-type]
-    ],
-)
+@pytest.mark.parametrize(("settings", "identity", "messages", "message"), [
+    (SMALL, 0, {"top": [b""]}, "layers are high, middle, low, not top"),
+    (SMALL, 30, {}, "identity is a whole number, 0 to 29, not 30"),
+    (SignalSettings(side=8, data_pairs=20), 0, {"high": [bytes(65537)]}, "at most 65536 bytes, not 65537"),
+    (SignalSettings(side=4, data_pairs=10), 0, {}, r"raise signal\.data_pairs"),
+    (SMALL, 3, {"high": [Updates(())]}, "in order"),
+    (SMALL, 3, {"high": [Updates(((1.0, b"b"), (0.0, b"a")))]}, "in order"),
+    (SMALL, 3, {"high": [Updates(((0.0, "text"),))]}, "in order"),  # type: ignore[arg-type]
+])  # fmt: skip
 def test_invalid_arguments_are_refused(
     settings: SignalSettings, identity: int, messages: dict[str, list[Content]], message: str
 ) -> None:
@@ -114,7 +110,5 @@ def test_a_message_that_changes_has_a_stream_number_for_each_content() -> None:
                 newest[packet] = message
     for packet, message in newest.items():
         number = int((packet * SMALL.packet_s + 1e-7) / 0.1)
-        assert message.stream == 1 + number % 255
-        assert message.data == times[number][1]
-    # more contents than stream numbers
-    assert len(newest) == len({m.data for m in newest.values()}) > 300
+        assert (message.stream, message.data) == (1 + number % 255, times[number][1])
+    assert len(newest) == len({m.data for m in newest.values()}) > 300  # more contents than stream numbers

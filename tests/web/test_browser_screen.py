@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +24,6 @@ from heliograph.web.security import LOOPBACK, Access
 from heliograph.web.sending import sending_of
 
 pytestmark = [pytest.mark.slow, needs_chromium]
-
 TEXT = "Grüße vom Bildschirm: 18 °C, 42 % ☀"
 PHONE = Phone(width=320, height=240, side_px=160.0, blur_px=0.8, seed=3)
 
@@ -32,6 +32,13 @@ PHONE = Phone(width=320, height=240, side_px=160.0, blur_px=0.8, seed=3)
 def address() -> Iterator[str]:
     with serving() as url:
         yield url
+
+
+@contextmanager
+def transmit_page(chromium: Browser, address: str, **options: str) -> Iterator[Page]:
+    with quiet_page(chromium, f"{address}transmit", **options) as page:
+        page.wait_for_selector("#rate option", state="attached")
+        yield page
 
 
 def transmitting(page: Page, cells: str = "16") -> None:
@@ -44,7 +51,6 @@ def transmitting(page: Page, cells: str = "16") -> None:
 
 
 def light_of(page: Page) -> int:
-    """Return the brightest pixel of the patterns."""
     return int(page.evaluate(
         "() => { const shown = document.getElementById('array');"
         " const copy = new OffscreenCanvas(shown.width, shown.height).getContext('2d', { willReadFrequently: true });"
@@ -72,15 +78,6 @@ def sent(chromium: Browser, address: str, tmp_path_factory: pytest.TempPathFacto
     return film, picture.read_bytes()
 
 
-@pytest.fixture(scope="module")
-def still_film(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A film without patterns."""
-    path = tmp_path_factory.mktemp("films") / "still.mp4"
-    frames = [(k / 30, np.full((64, 64), 90, np.uint8)) for k in range(75)]
-    write_phone_film(path, frames, Phone(width=64, height=64))
-    return path
-
-
 def test_command_receives_a_phone_film_of_the_page(sent: tuple[Path, bytes], tmp_path: Path) -> None:
     film, picture = sent
     succeeded(within(tmp_path, "receive", film, "--preset", "phone", "--set", "signal.side=20", "--output", "got"))
@@ -106,8 +103,7 @@ def test_preview_is_still_and_states_the_film_time(chromium: Browser, address: s
 
 
 def test_full_screen_begins_with_an_instruction_and_counts_packets(chromium: Browser, address: str) -> None:
-    with quiet_page(chromium, f"{address}transmit") as page:
-        page.wait_for_selector("#rate option", state="attached")
+    with transmit_page(chromium, address) as page:
         page.fill("#text", "long text " * 20)
         transmitting(page)
         expect(page.locator("#preview")).to_be_hidden()
@@ -145,8 +141,7 @@ def test_code_opens_page_receive_on_a_phone(chromium: Browser, address: str) -> 
 
 
 def test_likely_problem_is_shown_before_the_diagnosis(chromium: Browser, address: str, tmp_path: Path) -> None:
-    burnt = replace(PHONE, gain=8.0)
-    film = tmp_path / "burnt.mp4"
+    burnt, film = replace(PHONE, gain=8.0), tmp_path / "burnt.mp4"
     light = shown(sending_of(b"burnt", None, 16, 15.0), 4.0, cell_px=12)
     write_phone_film(film, phone_frames(light, burnt), burnt)
     with quiet_page(chromium, f"{address}receive") as page:
@@ -161,10 +156,7 @@ def test_likely_problem_is_shown_before_the_diagnosis(chromium: Browser, address
 def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, tmp_path: Path) -> None:
     webcam = tmp_path / "phone.mjpeg"
     write_webcam(webcam, phone_frames(shown(sending_of(TEXT.encode(), None, 16, 15.0), 4.0, cell_px=12), PHONE))
-    with (
-        browser(chromium.browser_type, *webcam_of(webcam)) as found,
-        quiet_page(found, f"{address}receive") as page,
-    ):
+    with browser(chromium.browser_type, *webcam_of(webcam)) as found, quiet_page(found, f"{address}receive") as page:
         page.click("#start")
         expect(page.locator("#outline")).to_have_attribute("points", re.compile(r"[\d.]+( [\d.]+){7}"))
         expect(page.locator("#overlay.read")).to_have_count(0)
@@ -204,18 +196,15 @@ def test_picture_is_received_from_a_film_that_replaces_an_upload(
 
 
 def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, address: str) -> None:
-    with quiet_page(chromium, f"{address}transmit") as page:
-        page.wait_for_selector("#rate option", state="attached")
-        page.focus("#send")
-        page.keyboard.press("Enter")
+    with transmit_page(chromium, address) as page:
+        page.press("#send", "Enter")
         page.get_by_role("dialog").get_by_role("button", name="Start").click()
         expect(page.locator("#pause")).to_be_enabled()
         page.fill("#text", "Another text")
         expect(page.locator("#send")).to_have_text("Send changes")
         page.click("#send")
         expect(page.locator("#send")).to_have_text("Send")
-        page.focus("#main")
-        page.keyboard.press("Space")
+        page.press("#main", "Space")
         expect(page.locator("#pause")).to_have_text("Resume")
         page.keyboard.press("Space")
         expect(page.locator("#pause")).to_have_text("Pause")
@@ -229,8 +218,7 @@ def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, add
 
 
 def test_nothing_flashes_without_consent_and_escape_stops_at_once(chromium: Browser, address: str) -> None:
-    with quiet_page(chromium, f"{address}transmit") as page:
-        page.wait_for_selector("#rate option", state="attached")
+    with transmit_page(chromium, address) as page:
         page.click("#send")
         dialog = page.get_by_role("dialog")
         expect(dialog).to_contain_text("photosensitive epilepsy")
@@ -245,8 +233,7 @@ def test_nothing_flashes_without_consent_and_escape_stops_at_once(chromium: Brow
         page.wait_for_function("() => !document.getElementById('pause').disabled")
         while light_of(page) == 0:
             page.wait_for_timeout(20)
-        page.focus("#text")
-        page.keyboard.press("Escape")
+        page.press("#text", "Escape")
         assert light_of(page) == 0
         page.click("#send")  # asks only once
         expect(page.locator("#pause")).to_be_enabled()
@@ -259,8 +246,7 @@ def test_nothing_flashes_without_consent_and_escape_stops_at_once(chromium: Brow
 
 
 def test_reduced_motion_sends_slowly_and_asks_every_time(chromium: Browser, address: str) -> None:
-    with quiet_page(chromium, f"{address}transmit", reduced_motion="reduce") as page:
-        page.wait_for_selector("#rate option", state="attached")
+    with transmit_page(chromium, address, reduced_motion="reduce") as page:
         expect(page.locator("#rate option:checked")).to_have_text("2")
         page.select_option("#rate", label="10")
         for _ in range(2):
@@ -290,8 +276,7 @@ def test_a_file_dropped_anywhere_is_taken(chromium: Browser, address: str, page_
 
 
 def test_empty_and_large_files_are_refused_in_the_page(chromium: Browser, address: str, tmp_path: Path) -> None:
-    with quiet_page(chromium, f"{address}transmit") as page:
-        page.wait_for_selector("#rate option", state="attached")
+    with transmit_page(chromium, address) as page:
         page.check("input[value=file]")
         for name, size, says in (("empty.txt", 0, "is empty"), ("large.bin", 400_000, "at most 256 kB")):
             (path := tmp_path / name).write_bytes(bytes(size))
@@ -300,11 +285,11 @@ def test_empty_and_large_files_are_refused_in_the_page(chromium: Browser, addres
             expect(page.locator(".notice.bad")).to_contain_text(says)
 
 
-def test_frames_of_failed_packets_are_saved_by_a_button(
-    chromium: Browser, address: str, still_film: Path, tmp_path: Path
-) -> None:
+def test_frames_of_a_still_film_are_saved_by_a_button(chromium: Browser, address: str, tmp_path: Path) -> None:
+    frames = [(k / 30, np.full((64, 64), 90, np.uint8)) for k in range(75)]
+    write_phone_film(tmp_path / "still.mp4", frames, Phone(width=64, height=64))
     with quiet_page(chromium, f"{address}receive") as page:
-        page.set_input_files("#film", still_film)
+        page.set_input_files("#film", tmp_path / "still.mp4")
         expect(page.locator("#state")).to_contain_text("The end")
         expect(page.locator("#why-lines li").first).to_be_visible()
         check_accessibility(page)
@@ -328,5 +313,4 @@ def test_page_is_accessible_and_fits_a_phone(chromium: Browser, address: str, pa
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
             check_accessibility(page)
-        wide = page.evaluate("document.documentElement.scrollWidth")
-        assert wide <= 390
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390

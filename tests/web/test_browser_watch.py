@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,6 @@ from heliograph.media import open_film
 from heliograph.web.built import built
 
 pytestmark = [pytest.mark.slow, needs_chromium]
-
 PHONE: dict[str, Any] = {"viewport": {"width": 390, "height": 844}, "color_scheme": "dark"}
 DESK: dict[str, Any] = {"viewport": {"width": 1280, "height": 800}, "color_scheme": "light"}
 
@@ -59,8 +59,6 @@ SLOW_PICTURES = """
     });
 """
 """Every third picture is decoded late, and the numbers of the drawn frames are kept."""
-
-
 SMALL_TARGETS = """
     () => [...document.querySelectorAll("button, summary, select, input")]
       .map((target) => [target.outerHTML.slice(0, 60), target.getBoundingClientRect()])
@@ -70,11 +68,20 @@ SMALL_TARGETS = """
 """Controls below 24 px (WCAG 2.2, 2.5.8)."""
 
 
+@contextmanager
+def watch_page(chromium: Browser, address: str, script: str = "", speed: str = "") -> Iterator[Page]:
+    """Yield page *Watch* with its sources, and a speed chosen."""
+    with quiet_page(chromium, f"{address}watch", script, **DESK) as page:
+        page.wait_for_selector("#kind option", state="attached")
+        if speed:
+            page.select_option("#speed", speed)
+        yield page
+
+
 @pytest.fixture(scope="module")
 def ended(chromium: Browser, address: str) -> Iterator[Page]:
     """The page at the end of the film."""
-    with quiet_page(chromium, f"{address}watch", SLOW_PICTURES, **DESK) as page:
-        page.wait_for_selector("#kind option", state="attached")
+    with watch_page(chromium, address, SLOW_PICTURES) as page:
         page.click("#open")
         page.get_by_text("End: 1250 frames, 12 packets.").wait_for()
         page.click("#details > summary")
@@ -83,7 +90,7 @@ def ended(chromium: Browser, address: str) -> Iterator[Page]:
         yield page
 
 
-def test_results_of_a_reception_are_shown_and_named(ended: Page) -> None:
+def test_results_of_a_reception_are_shown_named_and_drawn_in_order(ended: Page) -> None:
     assert ended.inner_text("#arrays tbody").startswith("array 0")
     assert ended.locator("#packets li").count() == 12
     assert "red for 12 s" in ended.inner_text("#messages")
@@ -92,9 +99,6 @@ def test_results_of_a_reception_are_shown_and_named(ended: Page) -> None:
         assert "levels" in (ended.get_attribute(f"#{name}", "aria-label") or "")
     assert "0 of" in ended.inner_text("#errors")
     assert "tracking" in ended.inner_text("#stages")
-
-
-def test_frames_are_drawn_in_order_though_some_are_decoded_late(ended: Page) -> None:
     drawn = [number for number in ended.evaluate("window.drawn") if number >= 0]
     assert len(drawn) > 3
     assert drawn == sorted(drawn)
@@ -122,9 +126,7 @@ def boxes(page: Page, *names: str) -> list[dict[str, float]]:
 @pytest.fixture(scope="module")
 def playing(chromium: Browser, address: str) -> Iterator[Page]:
     """The page in the middle of the film."""
-    with quiet_page(chromium, f"{address}watch", **DESK) as page:
-        page.wait_for_selector("#kind option", state="attached")
-        page.select_option("#speed", "0.1")
+    with watch_page(chromium, address, speed="0.1") as page:
         page.click("#open")
         page.wait_for_selector("#ticks rect")
         yield page
@@ -173,8 +175,7 @@ def test_frame_is_zoomed_by_buttons_keys_and_wheel(ended: Page) -> None:
     zoom = ended.locator("#zoom-fit")
     ended.click("#zoom-in")
     expect(zoom).to_have_text("1.5×")
-    ended.focus("#frame-box")
-    ended.keyboard.press("+")
+    ended.press("#frame-box", "+")
     expect(zoom).not_to_have_text("1.5×")
     ended.keyboard.press("0")
     expect(zoom).to_have_text("1×")
@@ -206,13 +207,10 @@ def test_help_opens_by_keyboard_and_leads_to_the_glossary(playing: Page) -> None
 
 
 def test_reload_and_back_restore_source_and_moment(chromium: Browser, address: str) -> None:
-    with quiet_page(chromium, f"{address}watch", **DESK) as page:
-        page.wait_for_selector("#kind option", state="attached")
-        page.select_option("#speed", "0.1")
+    with watch_page(chromium, address, speed="0.1") as page:
         page.click("#open")
         page.wait_for_selector("#packets li", state="attached")
-        page.focus("#frame-box")
-        page.keyboard.press("Space")
+        page.press("#frame-box", "Space")
         page.wait_for_timeout(700)
         where = page.inner_text("#where")
         page.reload()
@@ -229,41 +227,32 @@ def test_reload_and_back_restore_source_and_moment(chromium: Browser, address: s
         expect(page.locator("#where")).to_have_text(where)
 
 
-def test_recorded_drive_plays_at_once(chromium: Browser) -> None:
+def test_recorded_drive_plays_at_once_unless_the_visitor_wants_reduced_motion(chromium: Browser) -> None:
     with serving() as url, quiet_page(chromium, f"{url}watch", **PHONE) as page:
         page.wait_for_selector("#frame[aria-label^='Frame']")
         page.get_by_role("button", name="Pause").wait_for()
         expect(page.locator("#source-line")).to_contain_text("recorded-drive.mp4")
-
-
-def test_recorded_drive_waits_for_the_visitor_under_reduced_motion(chromium: Browser) -> None:
-    with serving() as url, quiet_page(chromium, f"{url}watch", **PHONE, reduced_motion="reduce") as page:
-        page.wait_for_selector("#kind option", state="attached")
-        page.get_by_role("button", name="Play").click()
-        page.wait_for_selector("#frame[aria-label^='Frame']")
+        with quiet_page(chromium, f"{url}watch", **PHONE, reduced_motion="reduce") as still:
+            still.wait_for_selector("#kind option", state="attached")
+            still.get_by_role("button", name="Play").click()
+            still.wait_for_selector("#frame[aria-label^='Frame']")
 
 
 def test_keys_step_through_a_film_and_look_back(chromium: Browser, address: str, tmp_path: Path) -> None:
-    with quiet_page(chromium, f"{address}watch", **DESK) as page:
-        page.wait_for_selector("#kind option", state="attached")
-        page.select_option("#speed", "0.1")
-        page.focus("#open")
-        page.keyboard.press("Enter")
+    with watch_page(chromium, address, speed="0.1") as page:
+        page.press("#open", "Enter")
         page.wait_for_selector("#packets li", state="attached")
-        page.focus("#frame-box")
-        page.keyboard.press("Space")
+        page.press("#frame-box", "Space")
         page.get_by_role("button", name="Resume").wait_for()
         page.wait_for_timeout(300)
         before = page.inner_text("#where")
         page.keyboard.press(".")
         while page.inner_text("#where") == before:
             page.wait_for_timeout(50)
-        page.focus("#scrub")
-        page.keyboard.press("Home")
+        page.press("#scrub", "Home")
         page.get_by_text("(recorded)").wait_for()
         assert page.locator("#packets li").count() == 0
-        page.focus("#frame-box")
-        page.keyboard.press("Home")
+        page.press("#frame-box", "Home")
         expect(page.locator("#where")).not_to_contain_text("(recorded)")
         page.click("#details > summary")
         page.get_by_role("cell", name="approaching").or_(page.get_by_role("cell", name="m")).first.wait_for()
@@ -303,8 +292,7 @@ def test_counts_from_before_a_pause_do_not_undo_it(chromium: Browser, address: s
 
 
 def test_dropped_film_replaces_the_results(chromium: Browser, address: str, films: list[Path], tmp_path: Path) -> None:
-    with quiet_page(chromium, f"{address}watch", **DESK) as page:
-        page.wait_for_selector("#kind option", state="attached")
+    with watch_page(chromium, address) as page:
         page.select_option("#kind", "film")
         page.set_input_files("#film", films[1])
         page.click("#open")
@@ -331,12 +319,9 @@ def expect_notice(page: Page) -> None:
     expect(notice).to_be_visible()
 
 
-def test_page_watch_shows_a_crash_of_its_reception(
-    chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_watch_shows_a_crash_of_its_reception(chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("heliograph.web.watching.run.receive_and_count", broken)
-    with quiet_page(chromium, f"{address}watch") as page:
-        page.wait_for_selector("#kind option", state="attached")
+    with watch_page(chromium, address) as page:
         page.click("#open")
         expect_notice(page)
         for button in ("stop", "step", "packet", "save"):
@@ -356,9 +341,7 @@ def test_page_receive_shows_a_crash_of_its_reception(
         expect(page.locator("#stop")).to_be_hidden()
 
 
-def test_page_transmit_shows_a_crash_of_its_coding(
-    chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_transmit_shows_a_crash_of_its_coding(chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("heliograph.web.transmit.sending_of", broken)
     page = chromium.new_page()
     page.goto(f"{address}transmit")

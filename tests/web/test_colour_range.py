@@ -17,10 +17,8 @@ from heliograph.web.app import create_app
 from heliograph.web.failures import FailureRecorder
 
 pytestmark = pytest.mark.usefixtures("quick_ends")
-
 WHITE, DARK = 0.75, 40
 FRAMES, SIDE = 24, 64
-
 UNTAGGED, LIMITED, FULL = 0, 1, 2
 
 
@@ -52,9 +50,7 @@ FILMS = {
 
 
 @pytest.mark.parametrize("name", FILMS)
-def test_probe_and_pages_see_the_same_part_at_full_scale(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_probe_and_pages_see_the_same_full_scale(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / name
     write_video(path, *FILMS[name])
     run = within(tmp_path, "probe", path, "--json", "--preset", "phone")
@@ -69,11 +65,9 @@ def test_probe_and_pages_see_the_same_part_at_full_scale(
     monkeypatch.setattr(FailureRecorder, "add_frame", add_frame)
     with TestClient(create_app(films=[str(path)]), base_url=OWN) as client:
         film = client.put(f"/api/films?kind={path.suffix[1:]}", content=path.read_bytes()).json()["film"]
-        requests = {
-            "receive": {"kind": "film", "film": film, "side": 16, "rate_hz": 10},
-            "watch": {"do": "open", "source": {"kind": "named", "preset": "phone"}},
-        }
-        for page, request in requests.items():
+        receive: Any = {"kind": "film", "film": film, "side": 16, "rate_hz": 10}
+        watch: Any = {"do": "open", "source": {"kind": "named", "preset": "phone"}}
+        for page, request in (("receive", receive), ("watch", watch)):
             seen.clear()
             with client.websocket_connect(f"ws://127.0.0.1:8000/api/{page}", ["heliograph"]) as socket:
                 socket.send_json(request)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -12,12 +13,14 @@ from heliograph.web.stores import BusyError
 
 
 class Page:
-    """WebSocket of a page that blocks until released."""
+    """WebSocket of a page that accepts no rows until released."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, is_released: bool = True) -> None:
         self.rows: list[int] = []
         self.pictures: list[bytes] = []
         self.released = asyncio.Event()
+        if is_released:
+            self.released.set()
 
     async def send_text(self, row: str) -> None:
         await self.released.wait()
@@ -31,10 +34,9 @@ def send(outbox: Outbox, page: Page) -> asyncio.Task[None]:
     return asyncio.create_task(outbox.send_to(page))  # type: ignore[arg-type]
 
 
-async def settle() -> None:
-    """Run the event loop until all ready callbacks have run."""
-    for _ in range(20):
-        await asyncio.sleep(0)
+async def until(condition: Callable[[], bool]) -> None:
+    while not condition():
+        await asyncio.sleep(0.001)
 
 
 def tell(outbox: Outbox, count: int) -> None:
@@ -44,7 +46,7 @@ def tell(outbox: Outbox, count: int) -> None:
 
 def test_slow_page_delays_no_worker_and_receives_all_rows() -> None:
     async def run() -> list[int]:
-        page, outbox = Page(), Outbox()
+        page, outbox = Page(is_released=False), Outbox()
         sending = send(outbox, page)
         await outbox.run(lambda: tell(outbox, 500))  # returns while the page is blocked
         assert not page.rows
@@ -59,7 +61,6 @@ def test_slow_page_delays_no_worker_and_receives_all_rows() -> None:
 def test_page_that_accepts_no_rows_is_disconnected_after_a_limit() -> None:
     async def run() -> None:
         page, outbox = Page(), Outbox(max_unheard=5, max_waiting_bytes=1000)
-        page.released.set()
         sending = send(outbox, page)
         await outbox.run(lambda: tell(outbox, 200))
         await sending
@@ -71,25 +72,21 @@ def test_page_that_accepts_no_rows_is_disconnected_after_a_limit() -> None:
 def test_rows_and_pictures_wait_for_acknowledgements() -> None:
     async def run() -> None:
         page, outbox = Page(), Outbox(max_unheard=3)
-        page.released.set()
         sending = send(outbox, page)
         tell(outbox, 5)
-        await settle()
+        await asyncio.sleep(0.01)
         assert page.rows == [0, 1, 2]
         outbox.acknowledge_rows(1)
-        await settle()
+        await asyncio.sleep(0.01)
         assert page.rows == [0, 1, 2, 3]
         outbox.acknowledge_rows(4)
         for number in range(4):
             outbox.show(lambda number=number: b"%d" % number)  # type: ignore[misc]
-            while len(page.pictures) < min(number + 1, 2):
-                await asyncio.sleep(0.001)
+            await until(lambda number=number: len(page.pictures) >= min(number + 1, 2))  # type: ignore[misc]
         assert page.pictures == [b"0", b"1"]
         outbox.acknowledge_picture()
-        while len(page.pictures) < 3:
-            await asyncio.sleep(0.001)
-        assert page.pictures[2] == b"3"  # the newest
-        assert page.rows == [0, 1, 2, 3, 4]
+        await until(lambda: len(page.pictures) == 3)
+        assert (page.pictures[2], page.rows) == (b"3", [0, 1, 2, 3, 4])  # the newest picture, and all rows
         outbox.end()
         await sending
 
@@ -110,7 +107,6 @@ def test_worker_ends_when_the_page_disconnects() -> None:
 def test_error_of_a_worker_follows_its_last_row() -> None:
     async def run() -> list[int]:
         page, outbox = Page(), Outbox()
-        page.released.set()
 
         def work() -> Any:
             tell(outbox, 3)

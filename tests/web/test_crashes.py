@@ -24,26 +24,15 @@ from heliograph.web.crashes import CrashError, in_thread, report
 from heliograph.web.limits import Limits
 
 pytestmark = pytest.mark.usefixtures("quick_ends")
-
 RECEIVE, WATCH = "ws://127.0.0.1:8000/api/receive", "ws://127.0.0.1:8000/api/watch"
-
 ERRORS = [
-    ValueError("need at least one array to stack"),
-    RuntimeError("cannot schedule new futures"),
-    TimeoutError("too late"),
-    np.linalg.LinAlgError("Singular matrix"),
-    MemoryError(),
-    KeyError("layer"),
-    StopIteration(),
-    asyncio.CancelledError(),
-    KeyboardInterrupt(),
-    SystemExit(3),
+    ValueError("need at least one array to stack"), RuntimeError("cannot schedule new futures"),
+    TimeoutError("too late"), np.linalg.LinAlgError("Singular matrix"), MemoryError(), KeyError("layer"),
+    StopIteration(), asyncio.CancelledError(), KeyboardInterrupt(), SystemExit(3),
     OSError(28, "No space left on device", "/tmp/heliograph-x/film.h5"),
     ValueError("cannot open /tmp/heliograph-x/0123.mp4\nsecond line"),
-]
-
+]  # fmt: skip
 CAMERA_FRAME = HEAD.pack(0.0, 0, 64, 64) + bytes(4096)
-
 Rows = list[dict[str, Any]]
 
 
@@ -61,15 +50,17 @@ def client(dark_film: Path) -> Iterator[TestClient]:
         yield made
 
 
-def rows_of(socket: Any) -> tuple[Rows, int]:
-    """Return rows until the server closes, and the close code."""
+def rows_of(socket: Any, until: str = "") -> tuple[Rows, int]:
+    """Return rows until an event, or until the server closes, and the close code."""
     rows: Rows = []
-    while (message := socket.receive())["type"] != "websocket.close":
+    while not rows or rows[-1]["event"] not in (until, "failed" if until else ""):
+        if (message := socket.receive())["type"] == "websocket.close":
+            return rows, int(message["code"])
         if message.get("text"):
             rows.append(json.loads(message["text"]))
-            continue
-        socket.send_json({"do": "took"})
-    return rows, int(message["code"])
+        else:
+            socket.send_json({"do": "took"})
+    return rows, 0
 
 
 def is_logged_once(caplog: pytest.LogCaptureFixture, error: BaseException) -> bool:
@@ -94,12 +85,14 @@ def received(client: TestClient, film: Path) -> tuple[Rows, int]:
         return rows_of(socket)
 
 
-def watched(client: TestClient, number: int = 0, then: str = "") -> tuple[Rows, int]:
+def watched(
+    client: TestClient, number: int = 0, then: str = "", until: str = "", receiver: str | None = None
+) -> tuple[Rows, int]:
     with client.websocket_connect(WATCH) as socket:
-        socket.send_json({"do": "open", "source": {"kind": "named", "number": number}})
+        socket.send_json({"do": "open", "source": {"kind": "named", "number": number, "receiver": receiver}})
         if then:
             socket.send_json({"do": then})
-        return rows_of(socket)
+        return rows_of(socket, until)
 
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
@@ -122,21 +115,17 @@ def test_any_exception_of_a_worker_is_reported_in_a_line_and_logged(
 
 
 PLACES = [
-    ("film", "heliograph.web.reading.open_film"),
-    ("film", "heliograph.web.reading.probe_film"),
+    ("film", "heliograph.web.reading.open_film"), ("film", "heliograph.web.reading.probe_film"),
     ("film", "heliograph.web.failures.FailureRecorder.add_frame"),
     ("film", "heliograph.web.failures.FailureRecorder.close"),
     ("camera", "heliograph.web.receive.PageReader.read_camera"),
-    ("camera", "heliograph.web.receive.CameraFrames.put"),
-    ("save", "heliograph.web.failures.FailureRecorder.save"),
-    ("watch", "heliograph.web.watching.run.opened"),
-    ("watch", "heliograph.web.watching.scene.Scene.encoded"),
+    ("camera", "heliograph.web.receive.CameraFrames.put"), ("save", "heliograph.web.failures.FailureRecorder.save"),
+    ("watch", "heliograph.web.watching.run.opened"), ("watch", "heliograph.web.watching.scene.Scene.encoded"),
     ("watch", "heliograph.media.hdf5.Hdf5Reader._frames"),
     ("watch save", "heliograph.web.watching.session.Session._save"),
-    ("watch stop", "heliograph.web.watching.run.Run.stop"),
-    ("watch camera", "played_camera.PlayedCamera.open"),
+    ("watch stop", "heliograph.web.watching.run.Run.stop"), ("watch camera", "played_camera.PlayedCamera.open"),
     ("watch camera", "played_camera.PlayedCamera.frames"),
-]
+]  # fmt: skip
 """Interaction with a page, and the function that crashes: in the worker, in a handler, or while sending."""
 
 
@@ -167,36 +156,11 @@ def test_pages_report_a_crash_at_any_place(
     wait_until(lambda: client.app.state.shared.sessions.taken == 0)  # type: ignore[attr-defined]
 
 
-def test_page_stays_connected_after_an_expected_error(client: TestClient) -> None:
+def test_expected_errors_and_lost_pages_are_no_crashes(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
     with client.websocket_connect(WATCH) as socket:
         for _ in range(2):
             socket.send_json({"do": "open", "source": {"kind": "named", "number": 7}})
             assert "there is no film 7" in socket.receive_json()["reason"]
-
-
-@pytest.mark.parametrize(
-    ("place", "path"),
-    [
-        ("heliograph.web.transmit.body_of", ""),
-        ("heliograph.web.sending.Sending.packets", "transmit/{}/packets"),
-        ("heliograph.web.transmit._write", "transmit/{}/film?seconds=1"),
-        ("heliograph.web.stores.Store.of", "transmit/{}/packets"),
-        ("heliograph.web.watch.list_cameras", "watch/cameras"),
-    ],
-)
-def test_requests_answer_a_crash_in_a_line(
-    client: TestClient, place: str, path: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    name = client.post("/api/transmit?side=8", content=b"text").json()["sending"]
-    monkeypatch.setattr(place, raises(ValueError("broken")))
-    answer = client.get(f"/api/{path.replace('{}', name)}") if path else client.post("/api/transmit", content=b"text")
-    assert answer.status_code == 500
-    assert answer.headers["x-content-type-options"] == "nosniff"
-    assert "ValueError: broken" in answer.json()["error"]
-    assert not list(client.app.state.shared.folder.glob("patterns-*"))  # type: ignore[attr-defined]
-
-
-def test_disconnected_page_is_not_logged_as_a_crash(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
     with client.websocket_connect(RECEIVE, ["heliograph"]) as socket:
         socket.send_json({"kind": "camera"})
     with client.websocket_connect(WATCH) as socket:
@@ -208,8 +172,19 @@ def test_disconnected_page_is_not_logged_as_a_crash(client: TestClient, caplog: 
     assert not [one for one in caplog.records if one.name.startswith("heliograph")]
 
 
-# more than the bundles that a server for one session keeps, less the first
-RECEPTIONS = 3
+@pytest.mark.parametrize(("place", "path"), [
+    ("heliograph.web.transmit.body_of", ""),
+    ("heliograph.web.sending.Sending.packets", "transmit/{}/packets"),
+    ("heliograph.web.transmit._write", "transmit/{}/film?seconds=1"),
+    ("heliograph.web.stores.Store.of", "transmit/{}/packets"), ("heliograph.web.watch.list_cameras", "watch/cameras"),
+])  # fmt: skip
+def test_requests_answer_a_crash(client: TestClient, place: str, path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = client.post("/api/transmit?side=8", content=b"text").json()["sending"]
+    monkeypatch.setattr(place, raises(ValueError("broken")))
+    answer = client.get(f"/api/{path.replace('{}', name)}") if path else client.post("/api/transmit", content=b"text")
+    assert (answer.status_code, answer.headers["x-content-type-options"]) == (500, "nosniff")
+    assert "ValueError: broken" in answer.json()["error"]
+    assert not list(client.app.state.shared.folder.glob("patterns-*"))  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module")
@@ -224,20 +199,6 @@ def single(film: Path) -> Iterator[TestClient]:
         yield made
 
 
-def last_event(client: TestClient, film: Path) -> str:
-    return str(received(client, film)[0][-1]["event"])
-
-
-def watch(client: TestClient, receiver: str = "plain", until: str = "end") -> str:
-    with client.websocket_connect(WATCH) as socket:
-        socket.send_json({"do": "open", "source": {"kind": "named", "receiver": receiver}})
-        event = ""
-        while event not in (until, "failed"):
-            message = socket.receive()
-            event = json.loads(message["text"])["event"] if message.get("text") else event
-        return event
-
-
 def live_objects() -> Counter[str]:
     """Count live objects from this package, by type."""
     gc.collect()
@@ -245,32 +206,27 @@ def live_objects() -> Counter[str]:
     return Counter(name for name in names if name.startswith("heliograph"))
 
 
-def leaked(before: Counter[str]) -> dict[str, int]:
-    """Return types with an extra object per reception; an idle thread may hold objects from its last call."""
-    return {name: more for name, count in live_objects().items() if (more := count - before[name]) >= RECEPTIONS}
-
-
 @pytest.mark.slow
 def test_ended_receptions_keep_no_object(single: TestClient, film: Path) -> None:
-    pages: dict[str, Callable[[], str]] = {
-        "receive": lambda: last_event(single, film),
-        "watch": lambda: watch(single, "soft"),
-        "watch broken off": lambda: watch(single, until="source"),
-    }
-    assert [page() for page in pages.values()] == ["end", "end", "source"]
-    before = live_objects()
-    for page in pages.values():
-        for _ in range(RECEPTIONS):
-            page()
-    wait_until(lambda: not leaked(before))  # threads may still end
+    def receive() -> list[str]:
+        pages = received(single, film), watched(single, until="end", receiver="soft")
+        broken_off = watched(single, until="source", receiver="plain")
+        return [rows[-1]["event"] for rows, _ in (*pages, broken_off)]
+
+    assert receive() == ["end", "end", "source"]
+    before, receptions = live_objects(), 3  # more than the bundles that a server for one session keeps, less the first
+    for _ in range(receptions):
+        receive()
+    # threads may still end, and an idle thread may hold objects from its last call
+    wait_until(lambda: all(count - before[name] < receptions for name, count in live_objects().items()))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [last_event, lambda client, _: watch(client)], ids=["receive", "watch"])
+@pytest.mark.parametrize("page", ["receive", "watch"])
 def test_memory_is_released_when_a_reception_has_ended(
-    single: TestClient, film: Path, page: Callable[[TestClient, Path], str], monkeypatch: pytest.MonkeyPatch
+    single: TestClient, film: Path, page: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     released = threading.Event()
     monkeypatch.setattr("heliograph.web.connection.release_memory", released.set)
-    page(single, film)
+    received(single, film) if page == "receive" else watched(single, until="end", receiver="plain")
     assert released.wait(60)

@@ -31,19 +31,14 @@ def test_lock_file_names_no_registry() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_pages_hold_no_scripts_and_styles_of_their_own(page: str) -> None:
+def test_pages_hold_no_scripts_styles_settings_and_options(page: str) -> None:
     text = built()[f"{page}.html"].decode()
     assert not re.search(r"<script(?![^>]*\bsrc=)|<style|\sstyle=|\son\w+=|javascript:", text)
     assert not re.search(r"(src|href)=\"(https?:)?//", text)
+    assert not COMMANDS.search(re.sub(r"<[^>]*>", " ", built()[f"{page}.html"].decode()))
 
 
 def test_layers_have_the_colours_of_the_plots() -> None:
     style = (FRONT / "src" / "common" / "style.css").read_text(encoding="utf-8")
     for layer, colour in LAYER_COLOURS.items():
         assert f"--{layer}: {colour};" in style
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_texts_name_no_settings_and_options(page: str) -> None:
-    text = re.sub(r"<[^>]*>", " ", built()[f"{page}.html"].decode())
-    assert not COMMANDS.search(text)

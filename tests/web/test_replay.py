@@ -42,8 +42,7 @@ def test_page_of_a_long_run_has_a_bounded_size_and_frames_of_all_of_it() -> None
     places = [k for k, row in enumerate(rows) if "scene" in row]
     assert places[0] < 10
     assert places[-1] >= len(rows) - 3
-    # thinned out evenly, by powers of two
-    gaps = np.diff([k - places.index(k) for k in places])
+    gaps = np.diff([k - places.index(k) for k in places])  # thinned out evenly, by powers of two
     assert gaps[:-2].max() <= 4 * max(gaps[:-2].min(), 1)
 
 

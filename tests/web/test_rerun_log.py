@@ -23,9 +23,8 @@ def test_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.slow
 def test_recording_has_frames_arrays_soft_values_codewords_and_events(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun-sdk takes 700 MB")
-    succeeded(
-        within(tmp_path, "simulate", "a.mkv", *lasting(0.25), "--high", "text:red", "--set", "channel.distance_m=75")
-    )
+    far = ("--set", "channel.distance_m=75")
+    succeeded(within(tmp_path, "simulate", "a.mkv", *lasting(0.25), "--high", "text:red", *far))
     succeeded(within(tmp_path, "receive", "a.mkv", "--rerun", "run.rrd"))
     command = [sys.executable, "-m", "rerun_cli", "rrd", "print", str(tmp_path / "run.rrd")]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout

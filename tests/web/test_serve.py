@@ -42,17 +42,13 @@ def test_other_machines_need_a_new_token() -> None:
     assert Address("0.0.0.0", certificate=Path("a"), key=Path("b")).url(1, None).startswith("https://")
 
 
-def test_occupied_port_is_reported_in_a_line() -> None:
+def test_addresses_that_cannot_be_opened_are_reported_in_a_line() -> None:
     with open_port(Address(port=0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(
-            SettingsError, match=rf"cannot listen at 127\.0\.0\.1, port {port}: .*; choose another"
-        ) as error:
+        said = rf"cannot listen at 127\.0\.0\.1, port {port}: .*; choose another"
+        with pytest.raises(SettingsError, match=said) as error:
             open_port(Address(port=port))
     assert "\n" not in str(error.value)
-
-
-def test_host_of_another_machine_is_reported_in_a_line() -> None:
     with pytest.raises(SettingsError, match=r"cannot listen at 192\.0\.2\.1"):
         open_port(Address("192.0.2.1", 0))
 

@@ -27,8 +27,7 @@ def test_patterns_of_a_text_decode_to_the_text(client: TestClient, side: int) ->
     (form,) = settings.transmit.formats
     named = {layer: getattr(form, layer) or getattr(settings.signal.rate, layer) for layer in LAYERS}
     signal = replace(settings.signal, rate=RateSettings(**named))
-    read = {message.data.decode() for message in decode(patterns, signal)}
-    assert read == {"für 12 s"}
+    assert {message.data.decode() for message in decode(patterns, signal)} == {"für 12 s"}
 
 
 def test_packet_takes_at_most_three_seconds_at_ten_patterns_a_second() -> None:
@@ -56,15 +55,11 @@ def test_long_text_is_sent_as_a_file() -> None:
     assert sending_of(b"x" * 5000, None, 16, 10.0).as_file
 
 
-@pytest.mark.parametrize(
-    ("query", "content", "status"),
-    [
-        ("", b"", 400),
-        ("", b"x" * (MAX_BYTES + 1), 400),
-        *((query, b"x", 422) for query in ("?side=10", "?side=64", "?rate_hz=0", "?rate_hz=nan", "?rate_hz=1e9")),
-        (f"?name={'n' * 500}", b"x", 422),
-    ],
-)
+@pytest.mark.parametrize(("query", "content", "status"), [
+    ("", b"", 400), ("", b"x" * (MAX_BYTES + 1), 400),
+    *((query, b"x", 422) for query in ("?side=10", "?side=64", "?rate_hz=0", "?rate_hz=nan", "?rate_hz=1e9")),
+    (f"?name={'n' * 500}", b"x", 422),
+])  # fmt: skip
 def test_invalid_transmissions_are_rejected(client: TestClient, query: str, content: bytes, status: int) -> None:
     answer = client.post(f"/api/transmit{query}", content=content)
     assert answer.status_code == status

@@ -15,20 +15,22 @@ from heliograph.signal.formats import Format
 from heliograph.signal.fountain import cauchy
 from heliograph.signal.fountain.codes import CodeName
 from heliograph.signal.fountain.files import FileGatherer, FileProgress, SentFile, WholeFile
-from heliograph.signal.settings import SignalSettings
-from heliograph.transmit import Transmitter
+from heliograph.signal.settings import LAYERS, SignalSettings
+from heliograph.transmit import Content, Transmitter
 
 PICTURE = SentFile("crossing.jpg", random.Random(20).randbytes(20_000))
-
 CODES: list[CodeName] = ["cauchy"]
 if importlib.util.find_spec("raptorq"):
     CODES.append("raptorq")
 
 
+def file_blocks(sender: Transmitter, packets: range, *layers: str) -> list[FileBlock]:
+    blocks = [sender.blocks(packet)[layer] for packet in packets for layer in layers or LAYERS]
+    return [block for listed in blocks for block in listed if isinstance(block, FileBlock)]
+
+
 def sent(file: SentFile, packets: range, layers: tuple[str, ...] = ("low",), identity: int = 3) -> list[FileBlock]:
-    sender = Transmitter(SignalSettings(), identity, {layer: [file] for layer in layers})
-    blocks = [block for packet in packets for listed in sender.blocks(packet).values() for block in listed]
-    return [block for block in blocks if isinstance(block, FileBlock)]
+    return file_blocks(Transmitter(SignalSettings(), identity, {layer: [file] for layer in layers}), packets)
 
 
 def gathered(blocks: Sequence[AnyFileBlock], files: FileGatherer | None = None) -> FileProgress | None:
@@ -105,32 +107,29 @@ def test_a_false_symbol_with_a_right_crc_is_noticed_and_the_file_gathered_anew()
 
 
 def test_memory_is_bounded_whatever_comes() -> None:
-    rng = random.Random(5)
-    files = FileGatherer()
+    rng, files = random.Random(5), FileGatherer()
     for _ in range(2000):
         size = rng.choice([1, 2, 64, 104, 108])
         files.add(FileBlock("low", 0, rng.choice([0, 1, 7]), rng.randrange(1 << 24), rng.randrange(1, 1 << 24), size,
                             rng.randrange(1 << 32), bytes(size)))  # fmt: skip
     assert len(list(files.unfinished())) <= FileGatherer().max_open
+    files = FileGatherer()
+    for number in range(3000):
+        files.add(SymbolBlock("low", 0, number % 256, number, bytes(8)))
+    progress = files.add(FileNotice("low", 0, 8 * 4000, 0xFF << 24))
+    assert progress is not None
+    assert progress.had == 4  # newest 1024 symbols / 256 identifiers
 
 
 def test_layers_send_different_symbols_and_files_take_turns_with_messages() -> None:
     other = SentFile("b.txt", b"short")
-    sender = Transmitter(
-        SignalSettings(), 0, {"high": [b"brake", PICTURE], "middle": [PICTURE, other], "low": [PICTURE]}
-    )
+    contents: dict[str, list[Content]] = {"high": [b"brake", PICTURE], "middle": [PICTURE, other], "low": [PICTURE]}
+    sender = Transmitter(SignalSettings(), 0, contents)
     high = [sender.blocks(packet)["high"][0] for packet in range(6)]
     assert [isinstance(block, FileBlock) for block in high] == [False, True] * 3
-    middle = [block for packet in range(3) for block in sender.blocks(packet)["middle"]]
-    checks = [block.check for block in middle if isinstance(block, FileBlock)]
+    checks = [block.check for block in file_blocks(sender, range(3), "middle")]
     assert checks == [zlib.crc32(one.packed) for one in (PICTURE, other)] * 3
-    numbers = [
-        block.number
-        for packet in range(40)
-        for listed in sender.blocks(packet).values()
-        for block in listed
-        if isinstance(block, FileBlock) and block.check == checks[0]
-    ]
+    numbers = [block.number for block in file_blocks(sender, range(40)) if block.check == checks[0]]
     assert len(numbers) == len(set(numbers)) == 20 + 40 + 40
 
 
@@ -138,19 +137,16 @@ def test_blocks_of_different_sizes_carry_symbols_of_one_file() -> None:
     """Packets alternate between two rates; the larger block carries several symbols."""
     formats = (Format(), Format(mode="single", low=0.9))
     sender = Transmitter(SignalSettings(), 0, {"low": [PICTURE]}, formats)
-    blocks = [block for packet in range(90) for block in sender.blocks(packet)["low"]]
-    assert {len(block.payload) // block.size for block in blocks if isinstance(block, FileBlock)} == {1, 6}
-    assert whole_of(gathered([block for block in blocks if isinstance(block, FileBlock)])).data == PICTURE.data
+    blocks = file_blocks(sender, range(90), "low")
+    assert {len(block.payload) // block.size for block in blocks} == {1, 6}
+    assert whole_of(gathered(blocks)).data == PICTURE.data
 
 
-@pytest.mark.parametrize(
-    ("file", "settings", "word"),
-    [
-        (SentFile("x" * 256, b"1"), SignalSettings(), "at most 255 bytes"),
-        (SentFile("a", bytes(200), "raptorq"), SignalSettings(side=4, data_pairs=84), "symbols"),
-        (SentFile("a", bytes(4 << 20)), SignalSettings(), "too many"),
-    ],
-)
+@pytest.mark.parametrize(("file", "settings", "word"), [
+    (SentFile("x" * 256, b"1"), SignalSettings(), "at most 255 bytes"),
+    (SentFile("a", bytes(200), "raptorq"), SignalSettings(side=4, data_pairs=84), "symbols"),
+    (SentFile("a", bytes(4 << 20)), SignalSettings(), "too many"),
+])  # fmt: skip
 def test_what_cannot_be_sent_is_said(file: SentFile, settings: SignalSettings, word: str) -> None:
     with pytest.raises(SettingsError, match=word):
         Transmitter(settings, 0, {"low": [file]})
@@ -161,14 +157,10 @@ SMALL = SignalSettings(side=8, data_pairs=13)
 
 def small(file: SentFile, packets: range, rate: float = 2 / 3) -> list[AnyFileBlock]:
     form = Format(mode="short", high=rate, middle=rate, low=rate)
-    sender = Transmitter(SMALL, 3, {layer: [file] for layer in ("high", "middle", "low")}, [form])
+    sender = Transmitter(SMALL, 3, {layer: [file] for layer in LAYERS}, [form])
     bits = {name: layer.code.k for name, layer in sender.format.layers.items()}
-    made = [
-        unpack(pack(block, bits[name]))
-        for packet in packets
-        for name, listed in sender.blocks(packet).items()
-        for block in listed
-    ]
+    blocks = [(name, block) for packet in packets for name, by in sender.blocks(packet).items() for block in by]
+    made = [unpack(pack(block, bits[name])) for name, block in blocks]
     assert all(isinstance(one, SymbolBlock | FileNotice) for one in made)
     return [one for one in made if isinstance(one, SymbolBlock | FileNotice)]
 
@@ -178,8 +170,7 @@ def test_small_blocks_bring_a_file_whole_in_any_order_with_losses(rate: float, s
     file = SentFile("note.txt", random.Random(7).randbytes(500))
     blocks = small(file, range(400 // size), rate)
     random.Random(1).shuffle(blocks)
-    # 20 % loss
-    found = gathered(blocks[: 4 * len(blocks) // 5])
+    found = gathered(blocks[: 4 * len(blocks) // 5])  # 20 % loss
     assert whole_of(found) == WholeFile(file.name, file.data)
     assert {len(block.payload) for block in blocks if isinstance(block, SymbolBlock)} == {size}
 
@@ -199,14 +190,3 @@ def test_symbols_wait_for_what_they_are_of_and_do_no_harm_to_others() -> None:
     assert [files.add(block) for block in symbols] == [None] * len(symbols)
     found = [files.add(block) for block in mixed if isinstance(block, FileNotice)]
     assert [whole_of(progress).data for progress in found if progress is not None] == [one.data, two.data]
-
-
-def test_symbols_of_no_known_file_are_bounded() -> None:
-    files = FileGatherer()
-    for number in range(3000):
-        files.add(SymbolBlock("low", 0, number % 256, number, bytes(8)))
-    notice = FileNotice("low", 0, 8 * 4000, 0xFF << 24)
-    progress = files.add(notice)
-    assert progress is not None
-    # newest 1024 symbols / 256 identifiers
-    assert progress.had == 4
