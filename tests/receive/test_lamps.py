@@ -13,12 +13,13 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive import make_receiver
-from heliograph.receive.detect.alternation import SearchRegion, coarse_search
+from heliograph.receive.detect.alternation import coarse_search
 from heliograph.receive.detect.budget import WORK_PER_MS, TokenBucket
 from heliograph.receive.detect.detection import headers
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
 from heliograph.receive.events import DetectEvent, Event
 from heliograph.receive.geometry.pose import UPRIGHT
+from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.signal.header import all_header_cells
 from heliograph.signal.settings import SignalSettings
 
@@ -56,12 +57,11 @@ def test_lamps_below_half_an_array_are_not_correlated() -> None:
     change = np.zeros((96, 128), np.float32)
     for y, x in product((20, 48, 76), (24, 64, 104)):
         change[y : y + 4, x : x + 4] = 120.0
-    frame, sought = Frame(0, 0.0, np.zeros((96, 128), np.uint8)), headers((UPRIGHT,)).cells
-    region = SearchRegion(change, np.ones((12, 16), bool), frame)
-    assert coarse_search(region, PARAMETERS, sought, np.array([12.0, 16.0, 24.0]))[3] == 0
+    region, sought = (CombinedFrame(0, 0.0, change, (0, 0), 255), np.ones((12, 16), bool)), headers((UPRIGHT,)).cells
+    assert coarse_search(*region, PARAMETERS, sought, np.array([12.0, 16.0, 24.0]))[3] == 0
     # one real header among the lamps
     change[32:64, 40:72] = 60 * np.kron(all_header_cells()[4], np.ones((8, 8)))
-    rows, *_ = coarse_search(region, PARAMETERS, sought, np.array([32.0]))
+    rows, *_ = coarse_search(*region, PARAMETERS, sought, np.array([32.0]))
     assert rows[0, 4] == 4
 
 

@@ -83,10 +83,10 @@ def test_a_region_holds_the_surroundings_of_a_busy_block(place: tuple[int, int])
     pixels, busy = np.random.default_rng(3).integers(0, 256, (4, 77, 101), np.uint8), np.zeros((10, 13), bool)
     busy[place] = True
     frames = [Frame(k, k * 1e-3, one, origin=(5, 7)) for k, one in enumerate(pixels)]
-    [(change, blocks, first)] = alternation.search_regions(frames, busy, 16.0, last_pixels)
-    x, y = first.origin[0] - 5, first.origin[1] - 7
-    rows, columns = first.pixels.shape
-    assert np.array_equal(np.stack([first.pixels, change]), pixels[[0, -1], y : y + rows, x : x + columns])
+    [(change, blocks)] = alternation.search_regions(frames, busy, 16.0, last_pixels)
+    x, y = change.origin[0] - 5, change.origin[1] - 7
+    rows, columns = change.pixels.shape
+    assert np.array_equal(change.pixels, pixels[-1, y : y + rows, x : x + columns])
     assert np.argwhere(blocks).tolist() == [[place[0] - y / 8, place[1] - x / 8]]
     # at least 16 px around the block, clipped to the frame
     for first_px, count, block, size in ((y, rows, place[0], 77), (x, columns, place[1], 101)):
@@ -99,13 +99,13 @@ def test_distant_blocks_have_separate_regions() -> None:
     for place in ((2, 3), (4, 4), (40, 120), (60, 60)):
         busy[place] = True
     regions, found = alternation.search_regions([frame], busy, 32.0, last_pixels), np.zeros((64, 128), int)
-    assert sorted(int(region.busy.sum()) for region in regions) == [1, 1, 2]
-    for region in regions:
-        x, y = (region.first.origin[0] - 3) // 8, (region.first.origin[1] - 1) // 8
-        found[y : y + len(region.busy), x : x + region.busy.shape[1]] += region.busy
-        assert region.change.shape == region.first.pixels.shape
+    assert sorted(int(blocks.sum()) for _, blocks in regions) == [1, 1, 2]
+    for change, blocks in regions:
+        x, y = (change.origin[0] - 3) // 8, (change.origin[1] - 1) // 8
+        found[y : y + len(blocks), x : x + blocks.shape[1]] += blocks
+        assert blocks.shape == tuple(-(-size // 8) for size in change.pixels.shape)
     assert np.array_equal(found, busy)
-    assert sum(region.change.size for region in regions) < 0.1 * frame.pixels.size
+    assert sum(change.pixels.size for change, _ in regions) < 0.1 * frame.pixels.size
     # with busy blocks everywhere, regions would cost as much as the full frame
     busy[::6, ::6] = True
     assert len(alternation.search_regions([frame], busy, 32.0, last_pixels)) == 1

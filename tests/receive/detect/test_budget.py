@@ -23,6 +23,7 @@ from heliograph.receive.detect.detector import Detector
 from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.events import DropEvent
 from heliograph.receive.geometry.pose import UPRIGHT
+from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.settings import DetectSettings
 from heliograph.signal.settings import SignalSettings
 
@@ -229,8 +230,8 @@ def test_interrupted_searches_of_several_regions_continue_on_the_sensor() -> Non
     for k in range(60):
         shift, before, regions = 8 * (k % 2), budget.load.blocks, list[SearchRegion]()
         for n, change in enumerate(changes):
-            first = Frame(0, 0.0, np.zeros((136, 136 - shift), np.uint8), origin=(400 * n + shift, 8 * n))
-            regions.append(SearchRegion(change[:, shift:].copy(), np.ones((17, 17 - shift // 8), bool), first))
+            part = CombinedFrame(0, 0.0, change[:, shift:].copy(), (400 * n + shift, 8 * n), 255)
+            regions.append((part, np.ones((17, 17 - shift // 8), bool)))
         # budget for a few blocks per region
         budget.charge(2 * (budget.coarse_work - 3e5))
         most = budget.coarse_work
