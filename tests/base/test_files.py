@@ -17,8 +17,7 @@ def test_a_file_takes_its_place_when_all_went_well(tmp_path: Path) -> None:
     with whole_file(target) as partial:
         partial.write_text("new")
         assert target.read_text() == "old"
-    assert target.read_text() == "new"
-    assert list(tmp_path.iterdir()) == [target]
+    assert (target.read_text(), list(tmp_path.iterdir())) == ("new", [target])
 
 
 @pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt(), MediaError("said already")])
@@ -33,8 +32,7 @@ def test_whatever_goes_wrong_leaves_the_old_file(tmp_path: Path, error: BaseExce
 
     with pytest.raises(type(error)):
         fail()
-    assert target.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [target]
+    assert (target.read_text(), list(tmp_path.iterdir())) == ("old", [target])
 
 
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
@@ -46,16 +44,13 @@ def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     assert not list(tmp_path.parent.glob(".*partial"))
 
 
-@pytest.mark.parametrize(
-    ("number", "cure"),
-    [
-        (errno.ENOSPC, "No space left on device; make room or choose another place"),
-        (errno.EDQUOT, "; make room or choose another place"),
-        (errno.EFBIG, "File too large; make room or choose another place"),
-        (errno.EACCES, "Permission denied; ask for the right to write there, or choose another place"),
-        (errno.EROFS, "Read-only file system; choose another place"),
-    ],
-)
+@pytest.mark.parametrize(("number", "cure"), [
+    (errno.ENOSPC, "No space left on device; make room or choose another place"),
+    (errno.EDQUOT, "; make room or choose another place"),
+    (errno.EFBIG, "File too large; make room or choose another place"),
+    (errno.EACCES, "Permission denied; ask for the right to write there, or choose another place"),
+    (errno.EROFS, "Read-only file system; choose another place"),
+])  # fmt: skip
 def test_the_cure_is_that_of_the_error(number: int, cure: str) -> None:
     with pytest.raises(MediaError) as caught, clear_write_errors(Path("a")):
         raise OSError(number, os.strerror(number))
@@ -78,29 +73,19 @@ def test_a_name_that_is_too_long_is_refused_before_anything_is_written(tmp_path:
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        ("drive 2.h5", "drive 2.h5"),
-        ("試験-سلام-\N{GRINNING FACE}", "試験-سلام-\N{GRINNING FACE}"),
-        ("می\u200cخواهم \N{WOMAN}\u200d\N{MICROSCOPE}\u3000", "می\u200cخواهم \N{WOMAN}\u200d\N{MICROSCOPE}\u3000"),
-        ("caf\udce9.h5", r"caf\xe9.h5"),
-        ("a\nb\tc\rd", r"a\nb\tc\rd"),
-        ("\x1b[31mred\x7f", r"\x1b[31mred\x7f"),
-        ("a\u2028b\u0085c", r"a\u2028b\x85c"),
-        ("\u202egpj.exe", r"\u202egpj.exe"),
-        ("\ud800", r"\ud800"),
-        (r"C:\new\table", r"C:\new\table"),
-    ],
-)
+@pytest.mark.parametrize(("text", "shown"), [
+    ("drive 2.h5", "drive 2.h5"), ("試験-سلام-\N{GRINNING FACE}", "試験-سلام-\N{GRINNING FACE}"),
+    ("می\u200cخواهم \N{WOMAN}\u200d\N{MICROSCOPE}\u3000", "می\u200cخواهم \N{WOMAN}\u200d\N{MICROSCOPE}\u3000"),
+    ("caf\udce9.h5", r"caf\xe9.h5"), ("a\nb\tc\rd", r"a\nb\tc\rd"), ("\x1b[31mred\x7f", r"\x1b[31mred\x7f"),
+    ("a\u2028b\u0085c", r"a\u2028b\x85c"), ("\u202egpj.exe", r"\u202egpj.exe"), ("\ud800", r"\ud800"),
+    (r"C:\new\table", r"C:\new\table"),
+])  # fmt: skip
 def test_what_a_terminal_cannot_show_is_escaped(text: str, shown: str) -> None:
-    assert printable(text) == shown
-    assert printable(shown) == shown
+    assert (printable(text), printable(shown)) == (shown, shown)
     shown.encode()
 
 
 @pytest.mark.parametrize("kind", [HeliographError, MediaError])
 def test_a_message_is_one_line_whatever_it_names(kind: type[HeliographError]) -> None:
     error = kind("cannot read caf\udce9\n\x1b[2J.h5")
-    assert str(error) == r"cannot read caf\xe9\n\x1b[2J.h5"
-    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+    assert (str(error), str(pickle.loads(pickle.dumps(error)))) == (r"cannot read caf\xe9\n\x1b[2J.h5", str(error))

@@ -208,8 +208,7 @@ def test_bad_input_is_one_clear_line_and_leaves_no_output(
     text = failed(call(*line.replace("{}", str(stock)).split()), status=2 if is_usage else 1)
     assert said in text
     assert not is_usage or "--help" in text
-    assert list(tmp_path.iterdir()) == []
-    assert names(stock) == before
+    assert (list(tmp_path.iterdir()), names(stock)) == ([], before)
 
 
 @contextlib.contextmanager
@@ -286,8 +285,7 @@ def test_a_failed_simulation_keeps_the_earlier_film(stock: Path, call: Call, tmp
     failed(
         call("simulate", "a.mkv", *lasting(0.2), "--background", stock / "cut.mkv", "--set", "channel.camera.fps=1e6")
     )
-    assert (tmp_path / "a.mkv").read_bytes() == b"earlier"
-    assert names(tmp_path) == ["a.mkv"]
+    assert ((tmp_path / "a.mkv").read_bytes(), names(tmp_path)) == (b"earlier", ["a.mkv"])
 
 
 @pytest.fixture

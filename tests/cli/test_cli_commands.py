@@ -49,8 +49,7 @@ def test_a_reception_is_followed_by_lines_datagrams_and_words(film: Path, call: 
     assert out.returncode == 0
     assert [row["event"] for row in rows if row["event"] != "message"] == ["found", *2 * ["packet"], "end"]
     (high,) = (row for row in rows if row["event"] == "message" and row["layer"] == "high")
-    assert base64.b64decode(high["data"]) == HIGH
-    assert rows[-1]["arrays"][0]["packets"] == 2
+    assert (base64.b64decode(high["data"]), rows[-1]["arrays"][0]["packets"]) == (HIGH, 2)
     assert re.search(
         r"^0\.000 s: array 0 found (49|50)\.\d m away, moving by \d+ px/s in the image, upright; identity uncertain",
         out.stderr,
@@ -116,8 +115,7 @@ def test_json_is_one_object_with_the_documented_fields(film: Path, tmp_path: Pat
     untrue = json.loads(succeeded(call("receive", film, "--json")))
     assert not {"errors", "false_packets", "false_codewords"} & set(untrue)
     assert {"frames", "seconds", "frames_per_second", "arrays", "errors"} <= set(report)
-    assert (report["false_packets"], report["false_codewords"]) == (0, 0)
-    assert report["frames"] == 200
+    assert (report["false_packets"], report["false_codewords"], report["frames"]) == (0, 0, 200)
     assert report["frames_per_second"] == pytest.approx(200 / report["seconds"], rel=0.01)
     (array,) = report["arrays"]
     assert set(array) == {
@@ -186,8 +184,7 @@ def test_transmit_writes_a_film_for_a_screen(tmp_path: Path, call: Call) -> None
     succeeded(call("transmit", "a.mkv", "--packets", "1", "--preset", "two-arrays"))
     with open_film(tmp_path / "a.mkv") as film:
         frames = [frame.pixels for frame in film]
-    assert len(frames) == 100
-    assert frames[0].shape == (256, 256)
+    assert (len(frames), frames[0].shape) == (100, (256, 256))
     assert set(np.unique(frames[50])) <= {0, 63, 127, 191, 255}
 
 
@@ -204,8 +201,7 @@ def test_budget_shows_image_range_and_flicker(call: Call) -> None:
     small = ("--set", "signal.side=8", "--vary", "channel.distance_m=20,60")
     text = succeeded(call("budget", *small))
     rows = [line.split() for line in text.splitlines()]
-    assert rows[0][:3] == ["channel.distance_m", "m", "px/LED"]
-    assert [row[0] for row in rows[1:3]] == ["20", "60"]
+    assert (rows[0][:3], [row[0] for row in rows[1:3]]) == (["channel.distance_m", "m", "px/LED"], ["20", "60"])
     assert [row[:3] for row in rows if row[:1] == ["soft"]] == [
         ["soft", mode, layer] for mode in ("paired", "single") for layer in ("high", "middle", "low")
     ]
@@ -382,8 +378,7 @@ def test_overlong_packets_are_uncertain(film: Path, tmp_path: Path, call: Call) 
     assert [(row["status"], row["uncertain"]) for row in log] == [("crc_fail", True)]
     assert "uncertain, no codeword decoded: array 0: 1 packet" in run.stdout
     summary = json.loads((tmp_path / "out/summary.json").read_text())
-    assert summary["arrays"] == []
-    assert [(array["id"], array["packets"]) for array in summary["uncertain"]] == [(0, 1)]
+    assert (summary["arrays"], [(array["id"], array["packets"]) for array in summary["uncertain"]]) == ([], [(0, 1)])
 
 
 def test_a_printed_preset_explains_each_setting_and_can_be_read(tmp_path: Path, call: Call) -> None:

@@ -41,13 +41,11 @@ def test_two_films_complete_a_file(tmp_path: Path, call: Call) -> None:
     said = succeeded(call("receive", "1.h5", "--preset", "static", "--files", "got", "--follow"))
     rows = [json.loads(line) for line in said.splitlines()]
     files = [row for row in rows if row["event"] == "file"]
-    assert files[0]["symbols"] == 12
-    assert (files[-1]["whole"], files[-1]["name"]) == (True, "map.png")
+    assert (files[0]["symbols"], files[-1]["whole"], files[-1]["name"]) == (12, True, "map.png")
     assert [(path.name, path.read_bytes()) for path in (tmp_path / "got").iterdir()] == [("map.png", PICTURE)]
     (tmp_path / "got/map.png").unlink()
     together = call("receive", "0.h5", "1.h5", "--preset", "static", "--files", "got", "--workers", "1")
-    assert together.returncode == 0
-    assert (tmp_path / "got/map.png").read_bytes() == PICTURE
+    assert (together.returncode, (tmp_path / "got/map.png").read_bytes()) == (0, PICTURE)
 
 
 @pytest.mark.parametrize("folder", [None, "got"])
@@ -66,26 +64,14 @@ def test_an_incomplete_file_has_a_line_with_progress_and_remedy(tmp_path: Path, 
         again = FileGatherer()
         FileOutput(tmp_path / folder, is_quiet=True).begin(again)
         whole, lacking = join(tmp_path / folder)
-        assert whole == []
-        assert lacking == [line.replace(", about 0.6 s", "")]
+        assert (whole, lacking) == ([], [line.replace(", about 0.6 s", "")])
 
 
-@pytest.mark.parametrize(
-    ("sent", "kept"),
-    [
-        ("map.png", "map.png"),
-        ("../../etc/passwd", "passwd"),
-        ("C:\\Windows\\system32\\a.dll", "a.dll"),
-        ("/", "file"),
-        ("", "file"),
-        ("..", "file"),
-        (".bashrc", "bashrc"),
-        ("a\0b\x1b[31m.txt", "ab_31m.txt"),
-        ("con.txt", "file-con.txt"),
-        ("Stra\u00dfe 7.jpg", "Stra_e_7.jpg"),
-        ("x" * 300 + ".jpeg", "x" * 68 + ".jpeg"),
-    ],
-)
+@pytest.mark.parametrize(("sent", "kept"), [
+    ("map.png", "map.png"), ("../../etc/passwd", "passwd"), ("C:\\Windows\\system32\\a.dll", "a.dll"), ("/", "file"),
+    ("", "file"), ("..", "file"), (".bashrc", "bashrc"), ("a\0b\x1b[31m.txt", "ab_31m.txt"),
+    ("con.txt", "file-con.txt"), ("Stra\u00dfe 7.jpg", "Stra_e_7.jpg"), ("x" * 300 + ".jpeg", "x" * 68 + ".jpeg"),
+])  # fmt: skip
 def test_a_name_from_the_air_is_no_path(sent: str, kept: str) -> None:
     assert safe_name(sent) == kept
 
@@ -96,8 +82,7 @@ def test_a_file_never_replaces_another(tmp_path: Path) -> None:
     written = [store.keep(WholeFile("../outside", data), key).name for data in (b"1", b"2", b"1")]
     assert written == ["outside", "outside-2", "outside"]
     (tmp_path / "new/link").symlink_to(tmp_path / "outside")
-    assert store.keep(WholeFile("link", b"3"), key).name == "link-2"
-    assert (tmp_path / "outside").read_bytes() == b"mine"
+    assert (store.keep(WholeFile("link", b"3"), key).name, (tmp_path / "outside").read_bytes()) == ("link-2", b"mine")
 
 
 def test_damaged_stored_symbols_are_ignored(tmp_path: Path) -> None:

@@ -50,8 +50,7 @@ def test_receive_shows_and_keeps_the_results_so_far(drive: Path, tmp_path: Path)
     assert report["frames"] == 210
     assert report["error"] == json.loads((tmp_path / "out/summary.json").read_text())["error"] == "interrupted"
     assert report["arrays"][0]["packets"] >= 1
-    assert names(tmp_path / "out") == RESULTS
-    assert (tmp_path / "out/array-0-high-0.bin").read_bytes() == b"first"
+    assert (names(tmp_path / "out"), (tmp_path / "out/array-0-high-0.bin").read_bytes()) == (RESULTS, b"first")
     assert len((tmp_path / "out/packets.jsonl").read_text().splitlines()) == report["arrays"][0]["packets"]
 
 

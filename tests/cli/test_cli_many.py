@@ -97,8 +97,7 @@ def test_stacks_and_folders_of_pictures_are_films_of_a_folder(tmp_path: Path) ->
 def test_worker_processes_receive_films(film: Path, call: Call) -> None:
     shutil.copy(film, "b.h5")
     run = call("receive", film, "b.h5", "--workers", "2", *PLAIN)
-    assert [len(row["arrays"]) for row in rows(run).values()] == [1, 1]
-    assert succeeded(run).count("\n") == 2
+    assert ([len(row["arrays"]) for row in rows(run).values()], succeeded(run).count("\n")) == ([1, 1], 2)
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")

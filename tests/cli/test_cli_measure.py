@@ -65,8 +65,7 @@ def test_drives_and_empty_clips(measured: Call, data: Path) -> None:
         measured("drives", clip, "--imu", imu, "--margin", "16", "--set", "channel.distance_m=40",
              "--set", "channel.duration_s=0.05", "--set", "signal.data_pairs=16")
     ).splitlines()  # fmt: skip
-    assert drive[0] == "day-motorway.mp4: 50 frames"
-    assert drive[-1] == "  false codewords 0, false packets 0"
+    assert (drive[0], drive[-1]) == ("day-motorway.mp4: 50 frames", "  false codewords 0, false packets 0")
     empty = succeeded(
         measured("empty", clip, "--imu", imu, "--native", "--frames", "20", "--set", "channel.camera.width=480",
              "--set", "channel.camera.height=270")

@@ -51,8 +51,7 @@ def test_characters_missing_from_the_encoding_are_escaped(
 ) -> None:
     write_levels(tmp_path / "試.h5", LEVELS)
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out := io.BytesIO(), "ascii", "strict"))
-    assert call("convert", "試.h5", "験.h5").returncode == 0
-    assert out.getvalue() == b"\\u9a13.h5: 20 frames\n"
+    assert (call("convert", "試.h5", "験.h5").returncode, out.getvalue()) == (0, b"\\u9a13.h5: 20 frames\n")
 
 
 def test_a_film_named_like_a_camera_is_a_film(tmp_path: Path) -> None:

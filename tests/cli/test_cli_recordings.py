@@ -90,8 +90,7 @@ def test_formats_of_cameras_are_converted(
         assert written.rate_hz == known.rate_hz
         for one, other in zip(known, written, strict=True):
             assert np.array_equal(one.pixels, other.pixels)
-            assert one.time_s == pytest.approx(other.time_s, abs=2e-9)
-            assert one.index == other.index
+            assert (one.time_s, one.index) == (pytest.approx(other.time_s, abs=2e-9), other.index)
 
 
 @pytest.mark.parametrize(

@@ -139,8 +139,7 @@ def test_a_failure_leaves_no_new_film_and_spares_the_old(tmp_path: Path, suffix:
     film.write(frame(0))
     with pytest.raises(ZeroDivisionError), film:
         film.write(frame(1 // 0))
-    assert [p.name for p in tmp_path.iterdir()] == [path.name]
-    assert path.read_text() == "old"
+    assert ([p.name for p in tmp_path.iterdir()], path.read_text()) == ([path.name], "old")
     with pytest.raises(MediaError, match="already finished or aborted"):
         film.write(frame(1))
 
@@ -160,8 +159,7 @@ def test_ctrl_c_while_waiting_for_the_encoder_keeps_the_frames(
         film.finish()
         film.finish()
         film.abort()
-    assert len(list(open_film(film.path))) == 3
-    assert list(tmp_path.iterdir()) == [film.path]
+    assert (len(list(open_film(film.path))), list(tmp_path.iterdir())) == (3, [film.path])
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
@@ -231,8 +229,7 @@ def test_wrong_frames(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "times", "says"), [
-    ("a.mkv", [0.0, 0.0001], "same 0.001 s tick of .mkv"),
-    ("a.nut", [0.0, 1e-7], "same 1e-06 s tick of .nut"),
+    ("a.mkv", [0.0, 0.0001], "same 0.001 s tick of .mkv"), ("a.nut", [0.0, 1e-7], "same 1e-06 s tick of .nut"),
     ("a.avi", [0.0, 0.0014], "whole frame periods only"),
 ])  # fmt: skip
 def test_times_a_container_cannot_hold(tmp_path: Path, name: str, times: list[float], says: str) -> None:
@@ -244,23 +241,19 @@ def test_times_a_container_cannot_hold(tmp_path: Path, name: str, times: list[fl
 
 
 @pytest.mark.parametrize(("name", "options", "says"), [
-    ("a.mpg", {}, r"must end in one of \.mkv, \.nut, \.mp4, \.avi, \.h5"),
-    ("a", {}, "must end in one of"),
+    ("a.mpg", {}, r"must end in one of \.mkv, \.nut, \.mp4, \.avi, \.h5"), ("a", {}, "must end in one of"),
     ("no/a.mkv", {}, "folder .*no does not exist"),
     ("a.mkv", {"rate_hz": 2000.0}, r"too coarse for 2000 frames/s: use \.nut, \.mp4 or \.h5"),
     ("a.mkv", {"rate_hz": 0.0}, r"rate_hz of a film is a number, got .*: give 1e-06 to 1e\+06"),
     ("a.mkv", {"rate_hz": float("nan")}, r"rate_hz of a film is a number, got .*: give 1e-06 to 1e\+06"),
     ("a.mkv", {"bits": 7}, "bits of a film is a whole number, got 7: give 8 to 16"),
     ("a.mkv", {"width": 0}, "width of a film is a whole number, got 0: give 1 to"),
-    ("a.mkv", {"metadata": {"n": 1}}, "maps text to text"),
-    ("a.mp4", {"bits": 12}, "h264 holds at most 10 bits"),
+    ("a.mkv", {"metadata": {"n": 1}}, "maps text to text"), ("a.mp4", {"bits": 12}, "h264 holds at most 10 bits"),
     ("a.avi", {"bits": 12}, "mjpeg holds at most 8 bits"),
     ("a.mp4", {"codec": "ffv1"}, r"'ffv1' does not go into \.mp4: choose one of h264"),
-    ("a.mkv", {"crf": 20.0}, "crf is a setting of h264"),
-    ("a.mp4", {"crf": 60.0}, "crf lies between 0 "),
+    ("a.mkv", {"crf": 20.0}, "crf is a setting of h264"), ("a.mp4", {"crf": 60.0}, "crf lies between 0 "),
     ("a.mp4", {"crf": 20.0, "lossless": True}, "one of mbit_s, crf and lossless"),
-    ("a.avi", {"lossless": True}, "cannot be lossless"),
-    ("a.h5", {"codec": "ffv1"}, "not coded"),
+    ("a.avi", {"lossless": True}, "cannot be lossless"), ("a.h5", {"codec": "ffv1"}, "not coded"),
     ("folder.mkv", {}, "is a folder"),
 ])  # fmt: skip
 def test_wrong_settings_are_named(tmp_path: Path, name: str, options: dict[str, object], says: str) -> None:

@@ -90,8 +90,7 @@ def test_grid_times_return_bit_for_bit_and_gaps_stay(tmp_path: Path, suffix: str
     numbers = [3, 4, 5, 9, 10, 40]
     write(tmp_path / f"a{suffix}", noise(6), [n / rate for n in numbers], rate)
     with open_film(tmp_path / f"a{suffix}") as film:
-        assert film.rate_hz == rate
-        assert [(f.index, f.time_s) for f in film] == [(n, n / rate) for n in numbers]
+        assert (film.rate_hz, [(f.index, f.time_s) for f in film]) == (rate, [(n, n / rate) for n in numbers])
 
 
 @pytest.mark.parametrize("suffix", [*FINE, ".mkv", ".avi"])
@@ -107,8 +106,7 @@ def test_metadata_and_frame_count(tmp_path: Path, suffix: str) -> None:
     notes = {"truth": '{"a": [1, 2]}', "Ort": "Zürich; = \\ \n 東京", "empty": "", "long": "xé" * 50_000}
     write(tmp_path / f"a{suffix}", noise(5), [n / 500 for n in range(5)], 500.0, metadata=notes)
     with open_film(tmp_path / f"a{suffix}") as film:
-        assert film.metadata.items() == notes.items()
-        assert film.frame_count == 5
+        assert (film.metadata.items(), film.frame_count) == (notes.items(), 5)
 
 
 def test_the_writer_copies_the_pixels(tmp_path: Path) -> None:

@@ -107,17 +107,11 @@ def test_a_file_cut_within_its_headers(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("place", "form", "value", "says"), [
-    (0, "<2s", b"XX", "is no Phantom recording"),
-    (4, "<H", 1, "is compressed"),
-    (20, "<I", 0, "holds no frames"),
-    (20, "<I", 1 << 31, "claims 2147483648 frames"),
-    (48, "<i", 0, "frames of 0x6 pixels"),
-    (48, "<i", -8, "frames of -8x6 pixels"),
-    (52, "<i", 1 << 30, "frames of 8x1073741824 pixels"),
-    (58, "<H", 14, "pixels of 14 bits"),
-    (60, "<I", 512, "is compressed"),
-    (28, "<I", 90, "has no camera settings where its header points"),
-    (84 + 768, "<I", 0, "--fps"),
+    (0, "<2s", b"XX", "is no Phantom recording"), (4, "<H", 1, "is compressed"), (20, "<I", 0, "holds no frames"),
+    (20, "<I", 1 << 31, "claims 2147483648 frames"), (48, "<i", 0, "frames of 0x6 pixels"),
+    (48, "<i", -8, "frames of -8x6 pixels"), (52, "<i", 1 << 30, "frames of 8x1073741824 pixels"),
+    (58, "<H", 14, "pixels of 14 bits"), (60, "<I", 512, "is compressed"),
+    (28, "<I", 90, "has no camera settings where its header points"), (84 + 768, "<I", 0, "--fps"),
     (32, "<I", 0xFFFFFFF0, "ends in the middle, after 0 whole frames"),
 ])  # fmt: skip
 def test_wrong_headers_are_named(tmp_path: Path, place: int, form: str, value: object, says: str) -> None:

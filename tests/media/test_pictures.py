@@ -141,10 +141,8 @@ def test_a_cut_array_gives_its_whole_frames_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("array", "says"), [
     (np.zeros((4, 6), np.uint8), "holds an array (4, 6) of uint8: a film is (frames, rows, columns)"),
     (np.zeros((4, 6, 8), np.float64), "of float64: a film is"),
-    (np.zeros((4, 6, 8, 3), np.uint8), "(4, 6, 8, 3) of uint8"),
-    (np.zeros((4, 6, 8), np.int16), "of int16"),
-    (np.zeros((4, 0, 8), np.uint8), "frames of 8x0 pixels"),
-    (np.zeros((0, 6, 8), np.uint8), "holds no frames"),
+    (np.zeros((4, 6, 8, 3), np.uint8), "(4, 6, 8, 3) of uint8"), (np.zeros((4, 6, 8), np.int16), "of int16"),
+    (np.zeros((4, 0, 8), np.uint8), "frames of 8x0 pixels"), (np.zeros((0, 6, 8), np.uint8), "holds no frames"),
     (np.asfortranarray(np.zeros((4, 6, 8), np.uint8)), "Fortran's order"),
     (np.array([{}]), "holds an array (1,) of object"),
 ], ids=str)  # fmt: skip

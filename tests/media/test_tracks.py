@@ -16,22 +16,15 @@ FILM = ("libx264", 64, 20, 0)
 SMALL = ("libx264", 32, 20, 0)
 
 
-@pytest.mark.parametrize(
-    ("name", "tracks"),
-    [
-        ("cover_first.mp4", [("mjpeg", 96, 1, COVER), FILM]),
-        ("cover_last.mp4", [FILM, ("mjpeg", 96, 1, COVER)]),
-        ("large_cover.mkv", [("mjpeg", 640, 1, 0), ("ffv1", 64, 20, 0)]),
-        ("picture_track.mp4", [("mjpeg", 640, 1, 0), FILM]),
-        ("preview_first.mp4", [SMALL, FILM]),
-        ("preview_first.mkv", [SMALL, FILM]),
-        ("preview_last.ts", [FILM, SMALL]),
-        ("preview_first.avi", [("mjpeg", 32, 20, 0), ("mjpeg", 64, 20, 0)]),
-        ("preview_first.nut", [("ffv1", 32, 20, 0), ("ffv1", 64, 20, 0)]),
-        ("sound_first.mov", [("sound", 0, 20, 0), SMALL, FILM]),
-        ("long_preview.mp4", [("libx264", 32, 60, 0), FILM]),
-    ],
-)
+@pytest.mark.parametrize(("name", "tracks"), [
+    ("cover_first.mp4", [("mjpeg", 96, 1, COVER), FILM]), ("cover_last.mp4", [FILM, ("mjpeg", 96, 1, COVER)]),
+    ("large_cover.mkv", [("mjpeg", 640, 1, 0), ("ffv1", 64, 20, 0)]),
+    ("picture_track.mp4", [("mjpeg", 640, 1, 0), FILM]), ("preview_first.mp4", [SMALL, FILM]),
+    ("preview_first.mkv", [SMALL, FILM]), ("preview_last.ts", [FILM, SMALL]),
+    ("preview_first.avi", [("mjpeg", 32, 20, 0), ("mjpeg", 64, 20, 0)]),
+    ("preview_first.nut", [("ffv1", 32, 20, 0), ("ffv1", 64, 20, 0)]),
+    ("sound_first.mov", [("sound", 0, 20, 0), SMALL, FILM]), ("long_preview.mp4", [("libx264", 32, 60, 0), FILM]),
+])  # fmt: skip
 def test_the_largest_track_is_read(tmp_path: Path, name: str, tracks: list[tuple[str, int, int, int]]) -> None:
     with open_film(write_tracks(tmp_path / name, *tracks)) as film:
         frames = list(film)

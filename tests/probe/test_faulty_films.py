@@ -77,12 +77,10 @@ def test_decodable_film_is_measured() -> None:
     found = probed(kept(link(camera={**CAMERA, "dropped": 0.05}), mirrored))
     (array,) = found.arrays
     assert found.read
-    assert array.packet.identity == 0
-    assert str(array.packet.orientation) == "mirrored"
+    assert (array.packet.identity, str(array.packet.orientation)) == (0, "mirrored")
     assert array.tally.last_distance_m == pytest.approx(50, abs=0.2)
     assert array.packet.pose.pitch == pytest.approx(1.1667, rel=2e-3)
-    assert array.packet.pose.blur == pytest.approx(0.51, abs=0.03)
-    assert array.contrast == pytest.approx(0.8, abs=0.01)
+    assert (array.packet.pose.blur, array.contrast) == (pytest.approx(0.51, abs=0.03), pytest.approx(0.8, abs=0.01))
     assert [layer.failed for layer in array.tally.layers.values()] == [0, 0, 0]
     assert array.clock is not None
     assert array.clock.phase_patterns == pytest.approx(0, abs=0.03)
@@ -91,8 +89,7 @@ def test_decodable_film_is_measured() -> None:
     assert found.rate is not None
     assert found.rate.frames == pytest.approx(1, abs=3e-3)
     (lost,) = found.causes
-    assert lost.kind == "lost frames"
-    assert found.times.lost == 8
+    assert (lost.kind, found.times.lost) == ("lost frames", 8)
     assert "8 of 130 frames" in lost.why
 
 
@@ -126,8 +123,7 @@ def test_undecoded_region_is_described_as_an_array() -> None:
     (region,) = faulty("out of step").regions
     array = region.would_be
     assert array is not None
-    assert array.pose.pitch == pytest.approx(1.1667, rel=0.01)
-    assert array.pose.blur == pytest.approx(0.51, abs=0.05)
+    assert (array.pose.pitch, array.pose.blur) == (pytest.approx(1.1667, rel=0.01), pytest.approx(0.51, abs=0.05))
     assert array.clock is not None
     assert abs(array.clock.phase_patterns) == pytest.approx(0.5, abs=0.03)
     assert {receiver: distances_m["high"] > 80 for receiver, distances_m in array.reach.items()} == {

@@ -97,8 +97,7 @@ def test_stretch_with_the_most_blinking_light_is_kept() -> None:
         watch.add(frame)
     best = watch.best()
     assert best is not None
-    assert best.frames[0].index == 512
-    assert len(best.frames) == 256
+    assert (best.frames[0].index, len(best.frames)) == (512, 256)
 
 
 ORDER = SignalSettings().slot_order
@@ -173,9 +172,7 @@ def stamped(numbers: Iterable[int], jitter_s: float = 0.0) -> FrameTimes:
 
 def test_rate_follows_from_the_stamps_not_from_the_container() -> None:
     times = stamped(range(300))
-    assert times.rate_hz == pytest.approx(1000)
-    assert times.claimed_hz == 25
-    assert times.jitter_s == pytest.approx(0, abs=1e-9)
+    assert (times.rate_hz, times.claimed_hz, times.jitter_s) == (pytest.approx(1000), 25, pytest.approx(0, abs=1e-9))
     assert (times.count, times.lost, times.repeated, times.every) == (300, 0, 0, 1)
     assert FrameWatch(50.0).times().rate_hz == 50  # no frames
 
@@ -187,21 +184,18 @@ def test_jitter_of_stamps_is_measured(jitter_s: float) -> None:
 
 def test_lost_frames_are_counted_by_gaps_in_the_numbers() -> None:
     times = stamped(number for number in range(500) if number not in (10, 11, 12, 400))
-    assert (times.lost, times.gaps) == (4, 2)
-    assert times.rate_hz == pytest.approx(1000)
+    assert (times.lost, times.gaps, times.rate_hz) == (4, 2, pytest.approx(1000))
 
 
 def test_recorder_of_every_third_frame_loses_none() -> None:
     times = stamped(number for number in range(0, 900, 3) if number != 300)
-    assert (times.every, times.lost, times.gaps) == (3, 1, 1)
-    assert times.rate_hz == pytest.approx(1000 / 3)
+    assert (times.every, times.lost, times.gaps, times.rate_hz) == (3, 1, 1, pytest.approx(1000 / 3))
 
 
 def test_repeated_frames_are_counted() -> None:
     watch = FrameWatch(1000.0)
     repeated = [watch.add(frame(k, k / 1000, level)) for k, level in enumerate((1, 1, 2, 3, 3, 3))]
-    assert repeated == [False, True, False, False, True, True]
-    assert watch.times().repeated == 3
+    assert (repeated, watch.times().repeated) == ([False, True, False, False, True, True], 3)
 
 
 def levels(*pictures: NDArray[Any]) -> Levels:
@@ -215,8 +209,7 @@ def test_pixels_at_full_scale_are_counted() -> None:
     picture = np.full((10, 10), 100, np.uint16)
     picture[:3] = 4095
     measured = levels(picture)
-    assert measured.at_full_scale == pytest.approx(0.3)
-    assert measured.percentiles == {1: 100.0, 50: 100.0, 99: 4095.0}
+    assert (measured.at_full_scale, measured.percentiles) == (pytest.approx(0.3), {1: 100.0, 50: 100.0, 99: 4095.0})
     assert (measured.brightest, measured.ceiling, measured.full_scale) == (4095, 4095, 4095)
 
 

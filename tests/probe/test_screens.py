@@ -87,19 +87,11 @@ def test_other_number_of_cells_is_recognised(shown_side: int, side: int) -> None
     assert f"shows {shown_side} x {shown_side} cells" in cause.why
 
 
-@pytest.mark.parametrize(
-    ("side", "rate_hz", "changes"),
-    [
-        (16, 15.0, {"glare": 0.3, "seconds": 2.5}),
-        (16, 10.0, {"shake_px": 6.0}),
-        (16, 10.0, {"turn_deg": 40.0}),
-        (16, 10.0, {"gain": 1.5, "seconds": 5.0}),
-        (16, 10.0, {"noise": 40.0}),
-        (16, 10.0, {"blur_px": 3.5}),
-        (16, 10.0, {"side_px": 105.0}),
-        (32, 10.0, {"width": 480, "height": 360, "side_px": 320.0}),
-    ],
-)
+@pytest.mark.parametrize(("side", "rate_hz", "changes"), [
+    (16, 15.0, {"glare": 0.3, "seconds": 2.5}), (16, 10.0, {"shake_px": 6.0}), (16, 10.0, {"turn_deg": 40.0}),
+    (16, 10.0, {"gain": 1.5, "seconds": 5.0}), (16, 10.0, {"noise": 40.0}), (16, 10.0, {"blur_px": 3.5}),
+    (16, 10.0, {"side_px": 105.0}), (32, 10.0, {"width": 480, "height": 360, "side_px": 320.0}),
+])  # fmt: skip
 def test_film_without_a_fault_has_no_cause_but_unread(side: int, rate_hz: float, changes: dict[str, float]) -> None:
     found = probed(filmed(rate_hz, side, **changes), side, rate_hz)
     assert kinds(found) == ["unread"]

@@ -181,8 +181,7 @@ def test_a_killed_worker_is_replaced_ctrl_c_shows_the_results_so_far_and_the_swe
     workers = worker_processes(process.pid)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=HANG_S)
-    assert process.returncode == 130
-    assert len(err.splitlines()) == 1
+    assert (process.returncode, len(err.splitlines())) == (130, 1)
     assert "interrupted" in err
     points = json.loads(out)
     assert sum(point["blocks"] for point in points) >= 1
@@ -214,17 +213,14 @@ def test_workers_return_results_in_order_and_have_a_thread_each() -> None:
     assert each(2, os.getenv, [*THREAD_LIMITS, "HELIOGRAPH_UNSET"], shares.append) == ["1"] * len(THREAD_LIMITS) + [
         None
     ]
-    assert shares[-1] == 1
-    assert shares == sorted(shares)
+    assert (shares[-1], shares) == (1, sorted(shares))
 
 
 def test_single_worker_is_this_process() -> None:
     seen: list[tuple[str, float]] = []
     context = Context(progress=lambda title, share: seen.append((title, share)))
-    assert context.each("half", abs, [-1, 1], (0.5, 1.0)) == [1, 1]
-    assert seen == [("half", 0.75), ("half", 1.0)]
-    assert each(2, abs, []) == []
-    assert each(2, lambda _: os.getpid(), [0]) == [os.getpid()]
+    assert (context.each("half", abs, [-1, 1], (0.5, 1.0)), seen) == ([1, 1], [("half", 0.75), ("half", 1.0)])
+    assert (each(2, abs, []), each(2, lambda _: os.getpid(), [0])) == ([], [os.getpid()])
 
 
 def test_error_of_a_job_reaches_the_caller() -> None:

@@ -47,8 +47,7 @@ CASES: dict[str, tuple[list[Any], list[Any], tuple[int, int]]] = {
 def test_numbers_and_stamps_show_lost_and_skipped_frames(name: str) -> None:
     frames, places, counts = CASES[name]
     numbering = Numbering(100, even=name != "pulses of a trigger")
-    assert placed(numbering, *frames) == places
-    assert (numbering.lost, numbering.skipped) == counts
+    assert (placed(numbering, *frames), (numbering.lost, numbering.skipped)) == (places, counts)
     assert numbering.host_clock == (name == "no stamps")
 
 
@@ -71,8 +70,7 @@ def test_stamps_correct_the_stated_frame_period() -> None:
     numbering = Numbering(1000, even=True)
     # at a requested 1000 frames/s the camera delivers 487, with no frame missing
     places = [numbering.place(k, 2_053_000 * k, 2_053_000 * k) for k in range(60)]
-    assert [place and place[0] for place in places] == list(range(60))
-    assert numbering.period_s == pytest.approx(0.002053)
+    assert ([place and place[0] for place in places], numbering.period_s) == (list(range(60)), pytest.approx(0.002053))
     assert numbering.skipped == 0
 
 

@@ -1,5 +1,6 @@
 """Webcams through PyAV, replaced by FFmpeg's synthetic "lavfi" device."""
 
+import re
 import time
 from fractions import Fraction
 from pathlib import Path
@@ -58,8 +59,7 @@ def test_lost_pictures_show_in_the_stamps() -> None:
     with drawn(50, ",select='not(between(n\\,20\\,22))',trim=end_frame=40") as film:
         indices = [frame.index for frame in film]
         counts = counts_of(film)
-    assert indices == [*range(20), *range(23, 43)]
-    assert (counts.lost, counts.skipped) == (0, 3)
+    assert (indices, counts.lost, counts.skipped) == ([*range(20), *range(23, 43)], 0, 3)
 
 
 def test_a_webcam_waits_no_longer_than_requested() -> None:
@@ -81,10 +81,8 @@ def test_a_webcam_waits_no_longer_than_requested() -> None:
     ({}, "/dev/video7 cannot be opened as a webcam (No such file or directory)"),
 ])  # fmt: skip
 def test_refused_settings_are_named(asked: dict[str, Any], says: str) -> None:
-    with pytest.raises(HeliographError) as caught:
+    with pytest.raises(HeliographError, match=re.escape(says)):
         open_film("camera:webcam:/dev/video7", camera=asked)
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_settings_become_options_of_ffmpeg() -> None:
