@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.panel_scenes import draw_scene
 from numpy.typing import NDArray
 from panel_films import PanelFilm, keystone, moving
-from panel_scenes import draw_scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import heliograph
