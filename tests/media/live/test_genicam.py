@@ -91,16 +91,12 @@ def test_refused_settings_are_named(producer: str, asked: dict[str, Any], says: 
         opened(producer, **asked)
 
 
-def test_a_missing_camera_is_named(producer: str) -> None:
+def test_a_missing_camera_and_a_damaged_producer_are_named(producer: str, tmp_path: Path) -> None:
+    (tmp_path / "broken.cti").write_bytes(b"no library")
     with pytest.raises(MediaError, match="no producer has a camera 'nobody'"):
         opened(producer, ":nobody")
-
-
-def test_a_damaged_producer_is_named(producer: str, tmp_path: Path) -> None:
-    file = tmp_path / "broken.cti"
-    file.write_bytes(b"no library")
     with pytest.raises(MediaError, match=r"the producer .*broken.cti cannot be loaded"):
-        opened(str(file))
+        opened(str(tmp_path / "broken.cti"))
 
 
 def test_producers_are_found_in_the_folders_of_the_standard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
