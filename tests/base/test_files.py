@@ -3,6 +3,7 @@
 import errno
 import os
 import pickle
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -11,28 +12,16 @@ from heliograph.base.errors import HeliographError, MediaError, printable
 from heliograph.base.files import clear_write_errors, whole_file, write_whole
 
 
-def test_a_file_takes_its_place_when_all_went_well(tmp_path: Path) -> None:
+@pytest.mark.parametrize("error", [None, ValueError("x"), KeyboardInterrupt(), MediaError("said already")])
+def test_a_file_takes_its_place_unless_something_goes_wrong(tmp_path: Path, error: BaseException | None) -> None:
     target = tmp_path / "a.txt"
     target.write_text("old")
-    with whole_file(target) as partial:
+    with pytest.raises(type(error)) if error else nullcontext(), whole_file(target) as partial:
         partial.write_text("new")
         assert target.read_text() == "old"
-    assert (target.read_text(), list(tmp_path.iterdir())) == ("new", [target])
-
-
-@pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt(), MediaError("said already")])
-def test_whatever_goes_wrong_leaves_the_old_file(tmp_path: Path, error: BaseException) -> None:
-    target = tmp_path / "a.txt"
-    target.write_text("old")
-
-    def fail() -> None:
-        with whole_file(target) as partial:
-            partial.write_text("half")
+        if error:
             raise error
-
-    with pytest.raises(type(error)):
-        fail()
-    assert (target.read_text(), list(tmp_path.iterdir())) == ("old", [target])
+    assert (target.read_text(), list(tmp_path.iterdir())) == ("old" if error else "new", [target])
 
 
 def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
@@ -46,16 +35,14 @@ def test_a_place_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("number", "cure"), [
     (errno.ENOSPC, "No space left on device; make room or choose another place"),
-    (errno.EDQUOT, "; make room or choose another place"),
+    (errno.EDQUOT, ".*; make room or choose another place"),
     (errno.EFBIG, "File too large; make room or choose another place"),
     (errno.EACCES, "Permission denied; ask for the right to write there, or choose another place"),
     (errno.EROFS, "Read-only file system; choose another place"),
 ])  # fmt: skip
 def test_the_cure_is_that_of_the_error(number: int, cure: str) -> None:
-    with pytest.raises(MediaError) as caught, clear_write_errors(Path("a")):
+    with pytest.raises(MediaError, match=f"^cannot write a: {cure}$"), clear_write_errors(Path("a")):
         raise OSError(number, os.strerror(number))
-    assert str(caught.value).startswith("cannot write a: ")
-    assert str(caught.value).endswith(cure)
 
 
 @pytest.mark.parametrize("name", ["n" * 255, "試" * 85, "\udce9" * 255, "a\n"])
@@ -65,11 +52,9 @@ def test_a_name_of_any_length_that_the_file_system_allows_is_written(tmp_path: P
 
 
 def test_a_name_that_is_too_long_is_refused_before_anything_is_written(tmp_path: Path) -> None:
-    begun = False
     reason = r"cannot write .*/n{256}: File name too long; choose a name of at most 255 bytes"
     with pytest.raises(MediaError, match=reason), whole_file(tmp_path / ("n" * 256)):
-        begun = True
-    assert not begun
+        pytest.fail("begun")
     assert not list(tmp_path.iterdir())
 
 

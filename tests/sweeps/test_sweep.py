@@ -13,7 +13,7 @@ from contextlib import closing
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -71,20 +71,17 @@ def test_invalid_values_are_refused_in_one_line(text: str) -> None:
     assert len(str(refused.value)) < 400
 
 
-def test_grid_has_a_point_without_keys_and_a_limit() -> None:
-    assert grid({}) == [{}]
-    with pytest.raises(SettingsError, match="at most"):
-        grid({"a": range(200), "b": range(200)})
-
-
 @pytest.mark.parametrize("values", [
     ",".join(f"{a}:{a + 9998}:1" for a in range(0, 400 * 9999, 9999)), ",".join(map(str, range(25_000))),
 ], ids=["ranges", "numbers"])  # fmt: skip
 def test_too_many_values_are_refused_before_they_are_created(values: str) -> None:
-    with pytest.raises(SettingsError, match=r"'channel\.distance_m' has more than 10000 values; take a larger step"):
-        parse_vary(f"channel.distance_m={values}")
-    with pytest.raises(SettingsError, match="'a' has more than 10000 values"):
-        grid({"a": itertools.count()})
+    for call, says in (
+        (lambda: parse_vary(f"a.b={values}"), r"'a\.b' has more than 10000 values; take a larger step"),
+        (lambda: grid({"a": itertools.count()}), "'a' has more than 10000 values"),
+        (lambda: grid({"a": range(200), "b": range(200)}), "at most"),
+    ):
+        with pytest.raises(SettingsError, match=says):
+            call()
     assert len(parse_vary("a=9999:0:-1")[1]) == 10_000
 
 
@@ -98,12 +95,9 @@ def test_repeated_values_are_refused() -> None:
 
 
 def test_values_and_seed_may_be_numbers_of_numpy() -> None:
-    seed: Any = np.int64(3)
-    found = plan({"signal.data_pairs": np.array([8, 16]), "channel.distance_m": np.linspace(40, 50, 2)}, seed=seed)
-    assert json.loads(json.dumps([dict(point.choice) for point in found]))[1] == {
-        "signal.data_pairs": 8, "channel.distance_m": 50.0
-    }  # fmt: skip
-    assert json.dumps(found[0].seed) == "3"
+    vary = {"signal.data_pairs": np.array([8, 16]), "channel.distance_m": np.linspace(40, 50, 2)}
+    found = plan(vary, seed=cast("Any", np.int64(3)))
+    assert json.dumps([found[1].choice, found[0].seed]) == '[{"signal.data_pairs": 8, "channel.distance_m": 50.0}, 3]'
     assert plan({"signal.data_pairs": [np.int64(8)]})[0].choice == {"signal.data_pairs": 8}
 
 
@@ -143,13 +137,18 @@ def test_receivers_share_films_and_scenes_and_seeds_do_not() -> None:
     assert reseeded.block_seed(0) != tally_of().point.block_seed(0)
 
 
+def test_seed_settings_and_version_are_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    point, (reseeded,) = tally_of().point, plan({}, "static", SMALL, seed=1)
+    keys = {point.key, reseeded.key, points()[0].key}
+    monkeypatch.setattr("heliograph.sweeps.points.__version__", "0.0.0")
+    assert len(keys | {point.key}) == 4
+
+
 @pytest.mark.parametrize(("blocks", "ending"), [
     ([(10, 4, 1)], None), ([(10, 4, 1), (10, 1, 1)], "errors"), ([(100, 0, 1)], "codewords"), ([(9, 0, 9)], "seconds"),
     ([(9, 0, 1)], None), ([(0, 0, 1)] * 2, None), ([(0, 0, 1)] * 3, "empty"),
 ])  # fmt: skip
-def test_point_ends_by_errors_codewords_seconds_or_emptiness(
-    blocks: list[tuple[int, int, float]], ending: str | None
-) -> None:
+def test_point_ends_by_errors_codewords_seconds_or_emptiness(blocks: Any, ending: str | None) -> None:
     tally = tally_of(StopRule(min_errors=5, max_codewords=100, max_seconds=9))
     for block, (codewords, errors, seconds) in enumerate(blocks):
         assert tally.ending is None
@@ -162,8 +161,7 @@ def test_blocks_count_in_order_without_surplus() -> None:
     tally = tally_of(StopRule(min_errors=5, max_codewords=20))
     tally.add(2, fake_counts(10, 9), 1.0)
     tally.add(1, fake_counts(10, 1), 1.0)
-    assert tally.blocks == 0
-    assert tally.has(2)
+    assert (tally.blocks, tally.has(2)) == (0, True)
     tally.add(0, fake_counts(10, 0), 1.0)
     assert (tally.blocks, tally.total.layers["high"].codeword_errors) == (2, 1)
 
@@ -171,7 +169,6 @@ def test_blocks_count_in_order_without_surplus() -> None:
 def test_report_has_counts_rates_intervals_and_bounds() -> None:
     tally = tally_of()
     empty = tally.report()
-    assert empty["net_bits_per_second"] is None
     layer = empty["layers"]["high"]
     assert (layer["fer"], layer["ber_is_bound"], layer["fer_is_bound"]) == (None, False, False)
     good = LayerCounts(bits=200 * 512, codewords=200, packets=200)
@@ -179,7 +176,8 @@ def test_report_has_counts_rates_intervals_and_bounds() -> None:
     layers, payload = {"high": good, "middle": good, "low": bad}, {"high": 700, "middle": 0, "low": 0}
     tally.add(0, BlockCounts(layers, payload_bits=payload, false_packets=2, duplicates=5, film_s=1.0, frames=1000), 1.0)
     report = json.loads(json.dumps(tally.report()))
-    assert (report["false_packets"], report["duplicates"], report["net_bits_per_second"]) == (2, 5, 700.0)
+    assert (report["false_packets"], report["duplicates"]) == (2, 5)
+    assert (empty["net_bits_per_second"], report["net_bits_per_second"]) == (None, 700.0)
     high, low = report["layers"]["high"], report["layers"]["low"]
     assert (high["fer"], high["ber_is_bound"], high["fer_is_bound"]) == (0.0, True, True)
     assert high["ber_ci"] == high["fer_ci"] == pytest.approx([0, clopper_pearson(0, 200)[1]])
@@ -238,15 +236,6 @@ def test_store_is_resumed_and_extended(
     longer = count(tmp_path, StopRule(max_codewords=4))
     assert (longer[0]["layers"]["high"]["codewords"], computed(tmp_path)) == (4, [1] * 8)
     assert longer == count(None, StopRule(max_codewords=4))
-
-
-def test_seed_settings_and_version_are_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
-    (point,) = plan({}, "static", SMALL)
-    (reseeded,) = plan({}, "static", SMALL, seed=1)
-    (moved,) = plan({"channel.distance_m": [51]}, "static", SMALL)
-    keys = {point.key, reseeded.key, moved.key}
-    monkeypatch.setattr("heliograph.sweeps.points.__version__", "0.0.0")
-    assert len(keys | {point.key}) == 4
 
 
 def test_code_of_the_package_is_in_the_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -357,14 +346,10 @@ def test_recording_changed_since_planning_is_refused(tmp_path: Path) -> None:
         run_job(work)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((0,), "at least 1 worker"),
-        ((2, "tcp://127.0.0.1:1"), "not both"),
-        pytest.param((None, "localhost"), "no address", marks=pytest.mark.slow),  # imports Dask
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    ((0,), "at least 1 worker"), ((2, "tcp://127.0.0.1:1"), "not both"),
+    pytest.param((None, "localhost"), "no address", marks=pytest.mark.slow),  # imports Dask
+])  # fmt: skip
 def test_workers_are_checked_before_a_folder_is_created(arguments: Any, message: str, tmp_path: Path) -> None:
     if "address" in message:
         pytest.importorskip("distributed")
@@ -410,66 +395,43 @@ def test_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         executors.open_workers(None, "tcp://127.0.0.1:8786")
 
 
-def altered(folder: Path, statement: str, *values: Any) -> None:
-    """Create a store, and modify a block of the first point."""
-    with closing(Store(folder)) as store:
-        store.add(points()[0], 0, fake_counts(4, 2), 1.0)
-    with closing(sqlite3.connect(folder / NAME)) as db, db:
-        db.execute(statement, values)
-
-
-def changed_counts(change: Callable[[Any], Any]) -> str:
+def altered(name: str, layer: str = "", **values: Any) -> str:
+    """Return the counts of a block without a name, or with other values."""
     plain = fake_counts(4, 2).to_plain()
-    return json.dumps(change(plain) or plain)
+    part: Any = plain["layers"][layer] if layer else plain
+    part.update(values)
+    part.pop(name, None)
+    return json.dumps(plain)
 
 
-CHANGES: dict[str, Callable[[Any], Any]] = {
-    "a list": lambda plain: [1],
-    "a missing name": lambda plain: plain.pop("frames") and None,
-    "an additional name": lambda plain: plain.update(extra=1),
-    "a missing layer": lambda plain: plain["layers"].pop("low") and None,
-    "a renamed layer": lambda plain: plain["layers"].update(lowest=plain["layers"].pop("low")),
-    "a missing count": lambda plain: plain["layers"]["low"].pop("bits") and None,
-    "a fraction for a count": lambda plain: plain["layers"]["low"].update(codewords=4.5),
-    "true for a count": lambda plain: plain["layers"]["low"].update(codewords=True),
-    "a negative count": lambda plain: plain["layers"]["low"].update(codewords=-4, codeword_errors=-4),
-    "more errors than codewords": lambda plain: plain["layers"]["low"].update(codeword_errors=5),
-    "more bit errors than bits": lambda plain: plain["layers"]["low"].update(bit_errors=1),
-    "more missed than wrong": lambda plain: plain["layers"]["low"].update(missed=3),
-    "squares without errors": lambda plain: plain["layers"]["low"].update(bit_squares=3),
-    "an immense count": lambda plain: plain["layers"]["low"].update(codewords=10**400),
-    "bins in a mapping": lambda plain: plain.update(bins={"a": 1}),
-    "a bin at a text": lambda plain: plain.update(bins=[["near", plain["layers"]]]),
-    "a number as payload": lambda plain: plain.update(payload_bits=7),
-    "an infinite film": lambda plain: plain.update(film_s=float("inf")),
-    "a film of nan seconds": lambda plain: plain.update(film_s=float("nan")),
-    "more detected than sent": lambda plain: plain.update(detected=1),
-}
+PLAIN: Any = fake_counts(4, 2).to_plain()["layers"]
+COUNTS = [
+    "[1]", altered("frames"), altered("", extra=1), altered("", layers=dict(list(PLAIN.items())[:2])),
+    altered("", layers=dict(zip(("high", "middle", "lowest"), PLAIN.values(), strict=True))),
+    altered("bits", "low"), altered("", "low", codewords=4.5), altered("", "low", codewords=True),
+    altered("", "low", codewords=-4, codeword_errors=-4), altered("", "low", codeword_errors=5),
+    altered("", "low", bit_errors=1), altered("", "low", missed=3), altered("", "low", bit_squares=3),
+    altered("", "low", codewords=10**400), altered("", bins={"a": 1}), altered("", bins=[["near", PLAIN]]),
+    altered("", payload_bits=7), altered("", film_s=float("inf")), altered("", film_s=float("nan")),
+    altered("", detected=1), "{", "null", "[" * 50_000 + "]" * 50_000, b"\xff\x00",
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("statement", "values"),
-    [
-        *(("UPDATE blocks SET counts = ?", (changed_counts(change),)) for change in CHANGES.values()),
-        *(
-            ("UPDATE blocks SET counts = ?", (text,))
-            for text in ("{", "null", "[" * 50_000 + "]" * 50_000, b"\xff\x00")
-        ),
-        *(("UPDATE blocks SET seconds = ?", (value,)) for value in ("soon", -1.0, float("inf"), b"1")),
-        ("UPDATE blocks SET block = ?", ("first",)),
-        ("UPDATE blocks SET counts = CAST(x'ff' AS TEXT)", ()),
-        ("ALTER TABLE blocks DROP COLUMN seconds", ()),
-        ("PRAGMA user_version = 7", ()),
-    ],
-    ids=lambda value: str(value)[:40],
-)
+@pytest.mark.parametrize(("statement", "values"), [
+    *(("UPDATE blocks SET counts = ?", (text,)) for text in COUNTS),
+    *(("UPDATE blocks SET seconds = ?", (value,)) for value in ("soon", -1.0, float("inf"), b"1")),
+    ("UPDATE blocks SET block = ?", ("first",)), ("UPDATE blocks SET counts = CAST(x'ff' AS TEXT)", ()),
+    ("ALTER TABLE blocks DROP COLUMN seconds", ()), ("PRAGMA user_version = 7", ()),
+], ids=lambda value: str(value)[:40])  # fmt: skip
 def test_altered_store_is_refused_in_one_line(statement: str, values: Any, tmp_path: Path) -> None:
-    altered(tmp_path, statement, *values)
+    with closing(Store(tmp_path)) as store:
+        store.add(points()[0], 0, fake_counts(4, 2), 1.0)
+    with closing(sqlite3.connect(tmp_path / NAME)) as db, db:
+        db.execute(statement, values)
     (tmp_path / "points.json").write_text("earlier")
     tally = PointTally(points()[0], StopRule(max_codewords=1))
-    with pytest.raises(MediaError, match="choose another folder") as caught:
+    with pytest.raises(MediaError, match=r"^(?=.{,399}$).*choose another folder"):
         sweep.count([tally], tmp_path, workers=1)
-    assert len(str(caught.value)) < 400
     assert ((tmp_path / "points.json").read_text(), tally.blocks) == ("earlier", 0)
 
 
@@ -517,10 +479,8 @@ def test_undetected_array_differs_from_an_unreadable_one(tmp_path: Path) -> None
     table = list(csv.DictReader((tmp_path / "points.csv").read_text().splitlines()))
     assert [row["detected"] for row in table] == ["1"] * 3 + ["0"] * 3
     near = data.sel({"channel.distance_m": 40})
-    assert (near.raw_bits > 0).all()
-    assert (near.raw_ber == near.raw_errors / near.raw_bits).all()
-    assert (near.raw_ber_low <= near.raw_ber).all()
-    assert (near.raw_ber <= near.raw_ber_high).all()
+    assert ((near.raw_bits > 0) & (near.raw_ber == near.raw_errors / near.raw_bits)).all()
+    assert ((near.raw_ber_low <= near.raw_ber) & (near.raw_ber <= near.raw_ber_high)).all()
     assert float(table[0]["raw_ber_high"]) == float(near.raw_ber_high.sel(layer="high"))
     axes = plot.plot_rates(data, "raw_ber")
     assert axes.get_xlabel() == "channel.distance_m (m)"
@@ -555,8 +515,7 @@ def test_plot_has_a_line_for_each_choice_and_names_invalid_arguments(tmp_path: P
     bounds = [line for line in axes.lines if line.get_gid() == plot.BOUND]
     assert [line.get_linestyle() for line in bounds] == ["None"] * 3
     assert np.concatenate([line.get_ydata() for line in bounds]) == pytest.approx([clopper_pearson(0, 10)[1]] * 3)
-    legend = axes.get_legend()
-    assert legend is not None
+    legend: Any = axes.get_legend()
     assert [text.get_text() for text in legend.get_texts()] == [*labels, plot.BOUND]
     assert plot.plot_rates(data.sel(layer="low", receiver="soft")).get_legend_handles_labels()[1] == ["low"]
     save(plot.plot_rates(data, along="receiver"), tmp_path / "plot.png")
@@ -607,12 +566,9 @@ DECIMALS = st.decimals(-1000, 1000, places=3)
 STEPS = st.decimals("0.001", 100, places=3)
 TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=10)
 VALUES = (
-    st.booleans()
-    | st.integers(-(10**9), 10**9)
-    | st.floats(-1e9, 1e9)
-    | TEXTS
+    st.booleans() | st.integers(-(10**9), 10**9) | st.floats(-1e9, 1e9) | TEXTS
     | st.lists(st.integers(-(2**63), 2**63 - 1), max_size=3)
-)
+)  # fmt: skip
 
 
 def written(value: Any) -> str:
@@ -642,14 +598,11 @@ def test_a_list_holds_its_values_as_they_are(values: list[Any]) -> None:
     assert (found, list(map(type, found[1]))) == (("a.b", values), list(map(type, values)))
 
 
+KEYS = st.sampled_from(["a", "b.c", "d", "e"])
+
+
 @examples(100)
-@given(
-    vary=st.dictionaries(
-        st.sampled_from(["a", "b.c", "d", "e"]),
-        st.lists(st.integers(), min_size=1, max_size=5, unique=True),
-        max_size=4,
-    )
-)
+@given(vary=st.dictionaries(KEYS, st.lists(st.integers(), min_size=1, max_size=5, unique=True), max_size=4))
 def test_a_grid_has_each_combination_once_the_last_key_fastest(vary: dict[str, list[int]]) -> None:
     points = grid(vary)
     assert [list(point) for point in points] == [list(vary)] * len(points)
