@@ -117,8 +117,6 @@ BAD = {
     "receive {}/a.mkv --crop 1,2,3": "a crop is x, y, width and height",
     "convert {}/a.mkv b.h5 --crop a,b,c,d": "--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not 'a,b,c,d'",
     "probe {}/a.mkv --crop a,b": "--crop",
-    "receive {}/a.mkv --crop 0,0,161,1": "reaches beyond the frames",
-    "convert {}/a.mkv b.h5 --rotate 1": "0, 90, 180 or 270",
     "receive {}/a.mkv --bin 0": "squares of 1 to 16 pixels a side",
     "convert {}/a.mkv b.h5 --channel pink": "choose one of luma, red, green, blue",
     **{
@@ -148,15 +146,11 @@ BAD = {
     "receive a.h5 b.h5 --workers 2 --scheduler tcp://127.0.0.1:1": "not both",
     "receive a.h5 b.h5 --set receive.receiver=nobody": "nobody",
     # diagnoses
-    "probe {}/text.mkv": "is not a video",
-    "probe nobody.mkv": "there is no file",
     "probe {}/a.mkv --set receive.nothing=1": "receive.nothing",
     "probe {}/a.mkv --receiver nobody": "nobody",
     "probe {}/a.mkv --output {}/file": "cannot write",
     # data sets
     "dataset a --splits many": "--splits takes TRAIN,VALIDATION,TEST in whole shares, not 'many'",
-    "dataset a --splits 1,2": "such as 80,10,10, not 1,2",
-    "dataset a --films 2": "2 films of each kind cannot be split in 3",
     "dataset a --vary channel.distnce_m=3": "did you mean 'channel.distance_m'?",
     "dataset a --vary channel.distance_m=3 --vary channel.distance_m=4": "is varied twice",
     "dataset a --set channel.background.kind=footage": "give it by --background VIDEO",
@@ -252,14 +246,9 @@ def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: 
     assert (tmp_path / "out/packets.jsonl").read_text().count("\n") >= 1
     # a truncated film keeps earlier messages
     (tmp_path / "out/array-3-low-1.bin").write_bytes(b"another film's")
-    call("receive", stock / "cut.mkv", "--output", "out")
+    run = call("receive", stock / "cut.mkv", "--output", "out", "--json")
     assert (tmp_path / "out/array-3-low-1.bin").read_bytes() == b"another film's"
     assert "ends in the middle, after 1" in json.loads((tmp_path / "out/summary.json").read_text())["error"]
-
-
-def test_a_cut_film_keeps_the_json_whole(stock: Path, call: Call) -> None:
-    run = call("receive", stock / "cut.mkv", "--json")
-    failed(run)
     report = json.loads(run.stdout)
     assert 100 < report["frames"] < 200
     assert report["arrays"][0]["layers"]["high"]["ok"] >= 1
@@ -273,19 +262,15 @@ def test_a_film_of_one_frame_is_too_short(stock: Path, call: Call, tmp_path: Pat
     assert names(tmp_path / "out") == ["packets.jsonl", "summary.json"]
 
 
-def test_an_unreadable_film_keeps_earlier_results(stock: Path, call: Call, tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/packets.jsonl").write_text("earlier\n")
-    failed(call("receive", stock / "text.mkv", "--output", "out"))
-    assert (tmp_path / "out/packets.jsonl").read_text() == "earlier\n"
-
-
-def test_a_failed_simulation_keeps_the_earlier_film(stock: Path, call: Call, tmp_path: Path) -> None:
-    (tmp_path / "a.mkv").write_bytes(b"earlier")
-    failed(
-        call("simulate", "a.mkv", *lasting(0.2), "--background", stock / "cut.mkv", "--set", "channel.camera.fps=1e6")
-    )
-    assert ((tmp_path / "a.mkv").read_bytes(), names(tmp_path)) == (b"earlier", ["a.mkv"])
+def test_a_failure_keeps_earlier_results_and_films(stock: Path, call: Call, tmp_path: Path) -> None:
+    for name in ("packets.jsonl", "a.mkv"):
+        (tmp_path / name).write_text("earlier")
+    failed(call("receive", stock / "text.mkv", "--output", tmp_path))
+    failed(call("simulate", "a.mkv", *lasting(0.2), "--background", stock / "cut.mkv",
+                "--set", "channel.camera.fps=1e6"))  # fmt: skip
+    assert {name: (tmp_path / name).read_text() for name in names(tmp_path)} == {
+        "a.mkv": "earlier", "packets.jsonl": "earlier"
+    }  # fmt: skip
 
 
 @pytest.fixture
@@ -293,9 +278,8 @@ def disk(tmp_path: Path) -> Iterator[Path]:
     """Mount a 64 kB disk."""
     folder = tmp_path / "disk"
     folder.mkdir()
-    made = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)], capture_output=True, check=False
-    )
+    command = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)]
+    made = subprocess.run(command, capture_output=True, check=False)
     if made.returncode:
         pytest.skip(f"a small disk cannot be mounted here: {made.stderr.decode().strip()}")
     yield folder
@@ -336,10 +320,8 @@ def test_a_full_disk_keeps_no_half_file_and_shows_the_results(disk: Path, stock:
 
 def humbled() -> None:
     """Drop root's file permissions: CAP_DAC_OVERRIDE and CAP_DAC_READ_SEARCH."""
-    if os.geteuid() == 0:
-        drop = 24  # PR_CAPBSET_DROP in prctl(2)
-        for capability in (1, 2):
-            ctypes.CDLL(None).prctl(drop, capability, 0, 0, 0)
+    for capability in (1, 2) if os.geteuid() == 0 else ():
+        ctypes.CDLL(None).prctl(24, capability, 0, 0, 0)  # PR_CAPBSET_DROP
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import Call, failed, within
+from cli_runs import Call, failed
 from film_checks import write_levels
 
 from heliograph.cli import console, messages
@@ -54,14 +54,6 @@ def test_characters_missing_from_the_encoding_are_escaped(
     assert (call("convert", "試.h5", "験.h5").returncode, out.getvalue()) == (0, b"\\u9a13.h5: 20 frames\n")
 
 
-def test_a_film_named_like_a_camera_is_a_film(tmp_path: Path) -> None:
-    write_levels(tmp_path / "camera:x.h5", LEVELS)
-    for name in ("./camera:x.h5", "camera:x.h5"):
-        assert failed(within(tmp_path, "receive", name)).startswith("heliograph: ")
-        assert within(tmp_path, "convert", name, "a.h5").stdout == "a.h5: 20 frames\n"
-    assert "there is no file" in failed(within(tmp_path, "convert", "./camera:y.h5", "a.h5"))
-
-
 @pytest.mark.parametrize("name", ["a.h5", "a b.h5", "-x.h5", "it's.h5", "$(rm x)`", ODD, "試.h5", "caf\udce9b\\n.h5"])
 def test_a_file_name_is_quoted_for_the_shell(name: str) -> None:
     script = f"printf '%s\\0' {console.argument(Path(name))}"
@@ -87,6 +79,6 @@ def test_recordings_may_have_any_name_and_suffix(tmp_path: Path) -> None:
     (tmp_path / "driving").mkdir()
     for name in ("caf\udce9.Mp4", "a.mp4", "a.MP4", "b.txt"):
         (tmp_path / "driving" / name).touch()
-    clips = recordings_in(tmp_path)["clips"]
+    clips = {name: path.name for name, path in recordings_in(tmp_path)["clips"].items()}
     assert sorted(clips) == ["a", "a.mp4", "caf\\xe9"]
-    assert sorted(path.name for path in clips.values()) == ["a.MP4", "a.mp4", "caf\udce9.Mp4"]
+    assert sorted(clips.values()) == ["a.MP4", "a.mp4", "caf\udce9.Mp4"]

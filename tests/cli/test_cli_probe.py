@@ -17,13 +17,9 @@ pytestmark = pytest.mark.slow
 def films(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("films")
     write(RIGHT["right"](), folder / "right.h5")
-    write(FAULTY["out of step"](), folder / "out-of-step.h5")
-    write(FAULTY["cut"](), folder / "cut.h5")
-    write(FAULTY["mislabelled"](), folder / "mislabelled.h5")
-    write(FAULTY["nothing blinks"](), folder / "still.h5")
-    whole = (folder / "right.h5").read_bytes()
-    (folder / "half.h5").write_bytes(whole[: len(whole) // 2])
-    (folder / "words.mkv").write_bytes(b"no film" * 1000)
+    for name, fault in (("out-of-step", "out of step"), ("cut", "cut"), ("mislabelled", "mislabelled"),
+                        ("still", "nothing blinks")):  # fmt: skip
+        write(FAULTY[fault](), folder / f"{name}.h5")
     return folder
 
 
