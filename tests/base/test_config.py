@@ -82,15 +82,15 @@ def test_the_value_of_an_assignment_is_toml_or_bare_text(text: str, value: Any) 
     assert parse_assignment(f"a.b={text}") == {"a": {"b": value}}
 
 
-def test_toml_errors_are_settings_errors() -> None:
-    with pytest.raises(SettingsError, match=r"not valid TOML.*line 2"):
-        parse_toml("a = 1\nb = = 2\n")
-
-
 @pytest.mark.parametrize("wrong", ["2", "-1", "x", ""])
 def test_numbers_of_missing_list_items_are_refused(wrong: str) -> None:
     with pytest.raises(SettingsError, match="not an item of a list of 1"):
         merge(({"x": 0, "y": 1},), {wrong: {"x": 5}})
+
+
+def test_toml_errors_are_settings_errors() -> None:
+    with pytest.raises(SettingsError, match=r"not valid TOML.*line 2"):
+        parse_toml("a = 1\nb = = 2\n")
 
 
 def test_later_assignments_win() -> None:

@@ -195,7 +195,7 @@ WRONG_USAGE = {
         pytest.param("sweep --scheduler nowhere --output d", "no address of a scheduler", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_clear_line_and_leaves_no_output(
+def test_bad_input_is_one_line_and_leaves_no_file(
     line: str, said: str, stock: Path, tmp_path: Path, call: Call
 ) -> None:
     is_usage, before = line in WRONG_USAGE, names(stock)

@@ -239,7 +239,7 @@ def test_the_script_and_python_run_the_command(tmp_path: Path) -> None:
     ("heliograph si", "simulate"), ("heliograph receive --tr", "--truth"), ("heliograph demo --preset t", "two-arrays"),
     ("heliograph presets mo", "motorway"), ("heliograph receive film.h5 --receiver so", "soft"),
 ])  # fmt: skip
-def test_shells_complete_commands_options_and_names(
+def test_shells_complete_commands_and_names(
     words: str, found: str, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("_HELIOGRAPH_COMPLETE", "complete_bash")
@@ -249,9 +249,7 @@ def test_shells_complete_commands_options_and_names(
     assert (run.stdout.split(), run.stderr) == ([found], "")
 
 
-def test_long_lines_wrap_on_a_terminal_only(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_long_lines_wrap_on_terminals_only(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     text = "fig13    holds    " + "0 of 1000 codewords, " * 80
     console.say_prose(text)
     assert capsys.readouterr().out == text + "\n"
@@ -299,9 +297,7 @@ def test_progress_is_shown_on_a_terminal_only(stream: type[io.StringIO], monkeyp
     assert ("receiving" in error.getvalue(), "921/921" in error.getvalue()) == (shown, shown)
 
 
-def test_a_sweep_shows_counts_and_intervals_and_its_points_on_a_terminal(
-    call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sweep_shows_counts_intervals_and_points_on_a_terminal(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     vary = ("--vary", "channel.distance_m=40,70", "--set", "signal.data_pairs=8", "--max-codewords", "4")
     lines = call("sweep", *vary, "--workers", "1").stdout.splitlines()

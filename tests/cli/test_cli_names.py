@@ -46,7 +46,7 @@ def test_results_and_errors_name_a_film_on_one_line(tmp_path: Path, call: Call) 
     assert run.stdout == f"to{SHOWN}: 20 frames\n"
 
 
-def test_characters_missing_from_the_encoding_are_escaped(
+def test_characters_beyond_the_encoding_are_escaped(
     tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_levels(tmp_path / "試.h5", LEVELS)

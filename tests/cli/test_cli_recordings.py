@@ -56,9 +56,7 @@ def read(call: Call, film: Path, output: Path, *options: str) -> Reading:
 
 
 @pytest.mark.parametrize("kind", ["folder", "mraw"])
-def test_formats_of_cameras_give_the_same_packets(
-    kind: str, known: Reading, paths: Paths, tmp_path: Path, call: Call
-) -> None:
+def test_formats_of_cameras_are_received(kind: str, known: Reading, paths: Paths, tmp_path: Path, call: Call) -> None:
     path, clockless = paths[kind]
     got = read(call, path, tmp_path / "got", *(("--fps", "1000") if clockless else ()))
     assert got == known
@@ -73,9 +71,7 @@ def test_a_cropped_and_rotated_film_is_read(shots: Path, known: Reading, tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["npy", "mraw"])
-def test_convert_keeps_the_complete_frames_of_a_truncated_recording(
-    kind: str, paths: Paths, tmp_path: Path, call: Call
-) -> None:
+def test_convert_keeps_the_whole_frames_of_a_cut_recording(kind: str, paths: Paths, tmp_path: Path, call: Call) -> None:
     whole, clockless = paths[kind]
     path = tmp_path / whole.name
     path.write_bytes(whole.read_bytes())

@@ -93,11 +93,6 @@ def test_the_first_ctrl_c_ends_a_reception_like_the_end_of_a_film(film: Path, tm
     assert names(tmp_path / "out") == ["array-0-high-0.bin", "packets.jsonl", "summary.json"]
 
 
-def test_it_ends_after_its_duration(call: Call, film: Path) -> None:
-    report = json.loads(succeeded(received(call, film, *ENDLESS, "--duration", "1", "--json")))
-    assert report["frames"] >= 1  # the camera is endless without a duration
-
-
 @pytest.fixture
 def dark(tmp_path: Path) -> Path:
     """Create a film without an array, in a separate folder."""

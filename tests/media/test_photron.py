@@ -151,9 +151,7 @@ def test_frames_that_begin_like_another_kind(tmp_path: Path, first: bytes) -> No
     ("ball_12bit.mraw", (384, 384), 12, 30_000, 15), ("ball_12bit.cihx", (384, 384), 12, 30_000, 15),
     ("beam.mraw", (1024, 80), 12, 20, 4), ("data_showcase.cih", (640, 40), 8, 150, 75),
 ])  # fmt: skip
-def test_recordings_of_real_cameras(
-    data: Path, name: str, size: tuple[int, int], bits: int, rate: float, count: int
-) -> None:
+def test_real_recordings(data: Path, name: str, size: tuple[int, int], bits: int, rate: float, count: int) -> None:
     path = data / "photron" / name
     assert form(path) == (*size, bits, rate, count)
     got = read(path)

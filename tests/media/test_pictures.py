@@ -316,9 +316,7 @@ def test_animated_pictures_have_all_frames_at_their_times(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("name", ["a.gif", "a.png", "a.webp"])
-def test_animations_with_a_given_rate_among_pictures_and_cut(
-    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_animations_at_a_rate_among_pictures_cut(tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
     path = animated(tmp_path / name, noise(6, 16, 24, 8), [10] * 6, "RGB")
     assert [frame.time_s for frame in read(path, rate_hz=1000)] == pytest.approx(np.arange(6) / 1000)
     if name != "a.gif":

@@ -9,7 +9,7 @@ import av
 import h5py
 import numpy as np
 import pytest
-from film_checks import ends, holds
+from film_checks import ends, form, holds
 from made_recordings import write_cine
 from made_videos import MS, brightness, write_video
 
@@ -175,7 +175,7 @@ def test_times_in_another_unit_are_reported(
     (np.arange(COUNT), {}, "they look like milliseconds or frame numbers; write times_s in seconds"),
     (np.arange(COUNT) * 1e3, {"rate_hz": 1e3}, r"and rate_hz says 1000\.0: they look like microseconds"),
 ])  # fmt: skip
-def test_frame_numbers_and_a_stated_rate_show_the_unit(
+def test_numbers_and_a_stated_rate_show_the_unit(
     tmp_path: Path, times: Any, stated: dict[str, float], says: str
 ) -> None:
     with pytest.raises(MediaError, match=says):
@@ -195,9 +195,14 @@ def test_times_of_day_in_seconds_are_read_unless_they_lack_resolution(tmp_path: 
     assert holds(path, np.zeros((COUNT, 8, 8)), np.arange(COUNT) / 1000, rate_hz=1000.0)
 
 
-def test_slow_films_of_a_stated_rate_are_read(tmp_path: Path) -> None:
-    path = timed(tmp_path / "a.h5", np.arange(COUNT) * 4.0, rate_hz=0.25)
-    assert holds(path, np.zeros((COUNT, 8, 8)), indices=EVERY)
+@pytest.mark.parametrize(("times", "stated", "indices"), [
+    (np.arange(COUNT) * 4.0, {"rate_hz": 0.25}, EVERY),
+    (np.delete(np.arange(200) * 1e-3, [40, 41, 90, 150]), {}, np.delete(np.arange(200), [40, 41, 90, 150])),
+])  # fmt: skip
+def test_slow_films_and_missing_frames_of_unstated_rates(tmp_path: Path, times: Any, stated: Any, indices: Any) -> None:
+    path = timed(tmp_path / "a.h5", times, **stated)
+    assert form(path)[3] == pytest.approx(stated.get("rate_hz", 1000))
+    assert holds(path, np.zeros((len(times), 8, 8)), times, indices)
 
 
 def test_a_given_rate_numbers_the_frames_of_a_camera_by_its_stamps(tmp_path: Path) -> None:
@@ -220,13 +225,6 @@ def test_own_films_keep_their_first_number(tmp_path: Path, suffix: str) -> None:
         assert (film.rate_hz, film.claimed_hz) == (1000, 25)
     assert [frame.index for frame in frames] == numbers
     assert [frame.time_s for frame in frames] == pytest.approx(np.array(numbers) / 1000, abs=1e-6)
-
-
-def test_unstated_rates_still_show_missing_frames(tmp_path: Path) -> None:
-    times = np.delete(np.arange(200) * 1e-3, [40, 41, 90, 150])
-    with open_film(timed(tmp_path / "a.h5", times)) as film:
-        assert film.rate_hz == pytest.approx(1000)
-        assert [frame.index for frame in film] == [round(1000 * time) for time in times]
 
 
 def test_a_pace_with_gaps_of_whole_periods_is_even() -> None:

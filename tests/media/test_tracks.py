@@ -50,9 +50,7 @@ def test_a_picture_attached_to_matroska_is_no_film(tmp_path: Path) -> None:
         assert [int(frame.pixels[0, 0]) for frame in film] == [0, 1, 2, 3, 4]
 
 
-def test_several_films_in_a_file_are_reported_and_cover_pictures_are_not(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_several_films_in_a_file_are_reported_but_no_covers(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with open_film(write_tracks(tmp_path / "a.mp4", ("mjpeg", 96, 1, COVER), FILM)):
         assert not caplog.messages
     path = write_tracks(tmp_path / "b.mp4", SMALL, FILM)

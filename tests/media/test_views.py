@@ -98,7 +98,7 @@ def quarters(pixels: Any) -> list[list[int]]:
     ({"degrees": 270}, [[0, 255], [90, 0]]), ({"degrees": 360, "hflip": True}, [[0, 255], [90, 0]]),
     ({"degrees": 360, "vflip": True}, [[0, 90], [255, 0]]),
 ])  # fmt: skip
-def test_turned_and_mirrored_videos_are_put_upright(
+def test_turned_and_mirrored_videos_are_upright(
     tmp_path: Path, turn: dict[str, Any], expected: list[list[int]]
 ) -> None:
     """PyAV angles are anticlockwise."""

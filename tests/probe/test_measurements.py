@@ -70,17 +70,14 @@ def test_motion_is_measured_in_pixels_per_frame_and_the_border_is_marked() -> No
     assert cut.at_border
 
 
-def test_drifting_shadow_does_not_blink() -> None:
+def test_noise_makes_no_region_and_a_drifting_shadow_does_not_blink() -> None:
     def draw(k: int, picture: Picture) -> None:
         x = np.arange(picture.shape[1])
         picture += 60 / (1 + np.exp(-(x - 20 - 0.7 * k) / 3))
 
+    assert regions_of(stretch_of(frames(lambda _, __: None)), 255) == ([], 0)
     assert all(region.blinks < 0.45 for region in regions(frames(draw)))
     assert regions(frames(lambda k, picture: blink(k, picture, 20, 30, 5)))[0].blinks > 0.6
-
-
-def test_noise_makes_no_region() -> None:
-    assert regions_of(stretch_of(frames(lambda _, __: None)), 255) == ([], 0)
 
 
 def test_stretch_with_the_most_blinking_light_is_kept() -> None:

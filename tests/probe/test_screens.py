@@ -131,9 +131,7 @@ def test_decoded_screen_has_no_cause() -> None:
         ("phone-slow", 16, 30.0, {"rate_hz": 2.0, "seconds": 12.0}),
     ],
 )  # fmt: skip
-def test_screen_in_place_of_an_array_is_recognised(
-    preset: str, side: int, fps: float, changes: dict[str, float]
-) -> None:
+def test_screen_in_place_of_an_array_is_named(preset: str, side: int, fps: float, changes: dict[str, float]) -> None:
     settings = load_settings("paper")
     film = KeptFilm(filmed(side=side, fps=fps, **changes), fps)
     found = probe_film(film, settings.signal, settings.receive, reading=False)

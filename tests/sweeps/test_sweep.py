@@ -218,9 +218,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
 
 @pytest.mark.slow
-def test_store_is_resumed_and_extended(
-    swept: tuple[Any, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_store_is_resumed_and_grows(swept: tuple[Any, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(swept[1], tmp_path, dirs_exist_ok=True)
     first = json.loads((tmp_path / "points.json").read_text())
     assert [point["stopped_by"] for point in first] == ["codewords", "codewords"]
@@ -316,9 +314,7 @@ def fail(work: Any) -> Any:
 @pytest.mark.parametrize(("job", "message"), [
     (fail, "MemoryError: no room"), (lambda work: {**run_job(work), "version": "0.0.0"}, "install the same"),
 ])  # fmt: skip
-def test_failure_and_other_version_of_a_worker_are_one_line(
-    job: Any, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failure_and_other_version_are_one_line(job: Any, message: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sweep, "run_job", job)
     with pytest.raises(HeliographError, match=message):
         sweep.count([tally_of()], workers=1)
@@ -387,9 +383,6 @@ def test_units_follow_from_names(key: str, unit: str) -> None:
 
 
 def test_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(HeliographError, match="a Dataset needs xarray: pip install xarray pandas h5netcdf"):
-        sweep.sweep({})
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(HeliographError, match=r"pip install 'dask\[distributed\]'"):
         executors.open_workers(None, "tcp://127.0.0.1:8786")

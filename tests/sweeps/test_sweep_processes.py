@@ -133,9 +133,7 @@ def dask_worker(address: str, folder: Path) -> "Iterator[subprocess.Popen[bytes]
 
 
 @pytest.mark.slow
-def test_cluster_survives_a_killed_worker_and_has_the_custom_components(
-    reference: list[dict[str, Any]], tmp_path: Path
-) -> None:
+def test_cluster_survives_a_killed_worker_and_has_custom_parts(reference: list[dict[str, Any]], tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as cluster:
         address = cluster.scheduler_address
@@ -147,7 +145,7 @@ def test_cluster_survives_a_killed_worker_and_has_the_custom_components(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not HAS_PROC, reason="needs /proc to find worker processes")
-def test_a_killed_worker_is_replaced_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(
+def test_a_killed_worker_is_replaced_ctrl_c_shows_results_and_the_sweep_resumes(
     parts_file: Path, tmp_path: Path
 ) -> None:
     changes = [word for change in SMALL for word in ("--set", change)]

@@ -19,7 +19,7 @@ from heliograph.base.frames import Frame
 from heliograph.media import open_film
 from heliograph.media.live.camera import CameraForm, Picture, register_camera
 from heliograph.media.live.grabber import CameraTiming, FrameQueue
-from heliograph.media.live.reader import LiveReader, live_of
+from heliograph.media.live.reader import LiveReader
 from heliograph.media.live.settings import CameraSettings, camera_settings
 
 FRAMES = 60
@@ -153,15 +153,6 @@ def test_a_live_film_can_be_left_and_iterated_again(film: Path) -> None:
         iter(reader)
 
 
-def test_a_live_film_is_cropped_and_rotated(film: Path) -> None:
-    with open_film(f"camera:played:{film}", crop=(2, 1, 8, 4), rotate=90) as seen:
-        first = next(iter(seen))
-        behind = live_of(seen)
-    assert first.pixels.shape == (8, 4)
-    assert behind is not None
-    assert behind.counts is not None
-
-
 class Odd:
     """Camera with a single fault, selected by address."""
 
@@ -203,6 +194,8 @@ def test_unusable_cameras_are_named(address: str, says: str) -> None:
 def test_a_given_rate_replaces_a_missing_rate() -> None:
     with open_film("camera:odd:rateless", rate_hz=200) as reader:
         assert reader.rate_hz == 200
+    with pytest.raises(MediaError, match="its trigger sets its rate; give it by --fps"):
+        open_film("camera:odd:silent", camera={"trigger": "Line1"})
 
 
 def test_a_failed_close_is_reported() -> None:
@@ -212,21 +205,13 @@ def test_a_failed_close_is_reported() -> None:
     assert said == ["camera:odd:clinging could not be closed: RuntimeError: no"]
 
 
-def test_silence_of_a_free_running_camera_is_an_error() -> None:
+def test_silence_is_an_error_of_a_free_running_camera_and_reported_once_of_a_trigger() -> None:
     with odd("silent")[0] as reader, pytest.raises(MediaError, match="is set, but sends no frames: check"):
         list(reader)
-
-
-def test_silence_of_a_trigger_is_reported_once() -> None:
     reader, said = odd("silent", trigger="Line1", duration_s=0.4)
     with reader:
         assert list(reader) == []
     assert said == ["camera:odd:silent: no pulse of Line1 for 0.1 s; still waiting"]
-
-
-def test_a_triggered_camera_needs_a_given_rate() -> None:
-    with pytest.raises(MediaError, match="its trigger sets its rate; give it by --fps"):
-        open_film("camera:odd:silent", camera={"trigger": "Line1"})
 
 
 @pytest.mark.parametrize(("asked", "says"), [
