@@ -27,9 +27,10 @@ TEXTS = {
 
 @pytest.mark.parametrize("text", TEXTS, ids=lambda text: text[:12])
 def test_text_of_no_settings(text: str) -> None:
-    for call in (lambda: parse_toml(text), lambda: parse_assignment(text.replace(" = ", "="))):
-        with pytest.raises(SettingsError, match=TEXTS[text]):
-            call()
+    with pytest.raises(SettingsError, match=TEXTS[text]):
+        parse_toml(text)
+    with pytest.raises(SettingsError, match=TEXTS[text]):
+        parse_assignment(text.replace(" = ", "="))
     assert (parse_value("9223372036854775807"), parse_value("-9223372036854775808")) == ((1 << 63) - 1, -(1 << 63))
 
 

@@ -54,15 +54,13 @@ BAD = {
     "receive {}/text.mkv --output out": "text.mkv is not a video",
     "receive {}/missing.mkv --output out": "there is no file",
     # settings
-    "simulate a.mkv --preset papre": "did you mean 'paper'",
-    "presets papre": "did you mean 'paper'",
+    "simulate a.mkv --preset papre": "did you mean 'paper'", "presets papre": "did you mean 'paper'",
     "simulate a.mkv --set channel.distanse_m=3": "did you mean 'channel.distance_m'",
     "simulate a.mkv --set channel.distance_m=far": "channel.distance_m",
     f"simulate a.mkv {S} --set channel.duration_s=1e-5": "raise channel.duration_s",
     "simulate a.mkv --settings {}/bad.toml": "bad.toml: not valid TOML",
     "simulate a.mkv --settings /dev/zero": "longer than 1,048,576 bytes",
-    "simulate a.mkv --settings {}/pipe": "a pipe that nobody writes to",
-    "receive {}/pipe": "is a pipe or a device",
+    "simulate a.mkv --settings {}/pipe": "a pipe that nobody writes to", "receive {}/pipe": "is a pipe or a device",
     "--load {}/pipe presets": "a pipe that nobody writes to",
     "simulate a.h5 --set channel.duration_s=3600 --set channel.camera.width=8192": "are free; write less",
     "transmit a.npy --packets 1000000000": "are free; write less",
@@ -78,8 +76,7 @@ BAD = {
     # truth and output
     "receive {}/a.mkv --truth {}/text.mkv": "no truth file: those end in .truth.npz",
     "receive {}/a.mkv --truth {}/other.mkv.truth.npz": "is not the truth of",
-    "receive {}/a.mkv --output {}/file": "cannot write",
-    "receive {}/a.mkv --output {}/file/deeper": "cannot write",
+    "receive {}/a.mkv --output {}/file": "cannot write", "receive {}/a.mkv --output {}/file/deeper": "cannot write",
     "demo --output {}/file": "cannot write",
     "demo --output d --set channel.duration_s=1e-5": "raise channel.duration_s",
     "reproduce fig5 --data {}/missing --output d": "has no driving/*.mp4",
@@ -87,27 +84,21 @@ BAD = {
     f"simulate {{}}/a.mkv {S} --background {{}}/a.mkv": "is read and would be written",
     f"simulate {{}}/a.mkv {S} --low {{}}/a.mkv.truth.npz": "is read and would be written",
     "transmit {}/a.mkv --middle {}/a.mkv": "is read and would be written",
-    f"simulate a.xyz {S}": "must end in one of .mkv",
-    f"simulate a {S}": "must end in one of .mkv",
-    f"simulate none/a.mkv {S}": "the folder none does not exist",
-    f"simulate a.mkv {S} --crf 70 --codec h264": "crf",
-    "transmit a.xyz": "must end in one of .npy, .csv",
-    "transmit none/a.npy": "cannot write none/a.npy",
+    f"simulate a.xyz {S}": "must end in one of .mkv", f"simulate a {S}": "must end in one of .mkv",
+    f"simulate none/a.mkv {S}": "the folder none does not exist", f"simulate a.mkv {S} --crf 70 --codec h264": "crf",
+    "transmit a.xyz": "must end in one of .npy, .csv", "transmit none/a.npy": "cannot write none/a.npy",
     "transmit a.mkv --slots": "use .nut",
     # recordings
     f"simulate a.mkv {S} --background {{}}/text.mkv": "not a video",
     f"simulate a.mkv {S} --set channel.background.kind=footage": "--background",
-    f"simulate a.mkv {S} --imu {{}}/a.mkv": "no text",
-    f"simulate a.mkv {S} --set channel.shake=imu": "--imu",
+    f"simulate a.mkv {S} --imu {{}}/a.mkv": "no text", f"simulate a.mkv {S} --set channel.shake=imu": "--imu",
     # budgets
     "budget --candela -1": "setting 'candela': input should be greater than",
     "budget --vary foo": "write key=value,value or key=first:last:step",
     "serve {}/text.mkv --port 0": "is not a video that can be read",
     # messages
-    f"simulate a.mkv {S} --high {{}}/missing": "cannot read",
-    f"simulate a.mkv {S} --middle {{}}/long": "send less",
-    "transmit a.npy --high {}/long": "send less",
-    "transmit a.npy --file gone": "cannot read gone",
+    f"simulate a.mkv {S} --high {{}}/missing": "cannot read", f"simulate a.mkv {S} --middle {{}}/long": "send less",
+    "transmit a.npy --high {}/long": "send less", "transmit a.npy --file gone": "cannot read gone",
     "transmit a.npy --file {}/file --file-code magic": "cauchy, raptorq",
     "transmit a.npy --file {}/file --high x --middle x --low x": "leave out",
     "transmit a.npy --junction {}/junction.toml": "junction.toml: ",
@@ -116,8 +107,7 @@ BAD = {
     # parts of frames
     "receive {}/a.mkv --crop 1,2,3": "a crop is x, y, width and height",
     "convert {}/a.mkv b.h5 --crop a,b,c,d": "--crop takes X,Y,WIDTH,HEIGHT in whole pixels, not 'a,b,c,d'",
-    "probe {}/a.mkv --crop a,b": "--crop",
-    "receive {}/a.mkv --bin 0": "squares of 1 to 16 pixels a side",
+    "probe {}/a.mkv --crop a,b": "--crop", "receive {}/a.mkv --bin 0": "squares of 1 to 16 pixels a side",
     "convert {}/a.mkv b.h5 --channel pink": "choose one of luma, red, green, blue",
     **{
         f"receive {{}}/a.mkv --truth {{}}/a.mkv.truth.npz {option}": "leave out --crop, --bin and --rotate, or --truth"
@@ -131,8 +121,7 @@ BAD = {
     "receive {}/one.mkv --receiver plain --corners 0,0,5,0,5,5,0,5": "set receive.detect.min_side_px",
     "receive {}/one.mkv --region 1,2,30": "--region takes X,Y,WIDTH,HEIGHT in whole pixels, not '1,2,30'",
     "receive {}/one.mkv --region 1,2,30,4.5": "--region takes",
-    "receive {}/one.mkv --region 1,2,3,3": "receive.detect.region",
-    "receive {}/one.mkv --region=": "--region takes",
+    "receive {}/one.mkv --region 1,2,3,3": "receive.detect.region", "receive {}/one.mkv --region=": "--region takes",
     f"receive {{}}/one.mkv --region 1,2,1{'0' * 5000},9": "--region takes",
     "receive {}/one.mkv --receiver plain --region 500,0,40,40": "500,0,40,40 that was given lies beyond the frames",
     # signals
@@ -146,8 +135,7 @@ BAD = {
     "receive a.h5 b.h5 --workers 2 --scheduler tcp://127.0.0.1:1": "not both",
     "receive a.h5 b.h5 --set receive.receiver=nobody": "nobody",
     # diagnoses
-    "probe {}/a.mkv --set receive.nothing=1": "receive.nothing",
-    "probe {}/a.mkv --receiver nobody": "nobody",
+    "probe {}/a.mkv --set receive.nothing=1": "receive.nothing", "probe {}/a.mkv --receiver nobody": "nobody",
     "probe {}/a.mkv --output {}/file": "cannot write",
     # data sets
     "dataset a --splits many": "--splits takes TRAIN,VALIDATION,TEST in whole shares, not 'many'",
@@ -165,26 +153,19 @@ BAD = {
     "measure drives none.mp4 --imu none.csv": "none.mp4",
     "measure lossy none.mp4 out.mp4": "there is no truth file none.mp4.truth.npz",
     # pages
-    "serve missing.mkv": "there is no file missing.mkv",
-    "serve --certificate a.pem": "HTTPS requires both",
+    "serve missing.mkv": "there is no file missing.mkv", "serve --certificate a.pem": "HTTPS requires both",
     "serve --port 0 --certificate a.pem --key b.pem": "cannot use the certificate a.pem and its key",
     "serve --port 0 --set signal.side=7": "signal.side",
-}
+}  # fmt: skip
 
 WRONG_USAGE = {
-    "receive": "Missing argument",
-    "recieve a.mkv": "No such command 'recieve'",
-    "receive a.mkv --outptu x": "No such option",
-    "receive a.mkv --load x.py": "--load FILE stands before the command",
-    "receive a.mkv --output": "requires an argument",
-    "convert a.mkv b.mkv c.mkv": "unexpected extra argument",
-    "simulate a.mkv --seed -1": "--seed",
-    "simulate a.mkv --seed x": "--seed",
-    "transmit a.npy --identity 30": "--identity",
-    "transmit a.npy --packets 0": "--packets",
-    "probe a.mkv --frames 0": "--frames",
-    "measure nothing": "heliograph measure --help",
-}
+    "receive": "Missing argument", "recieve a.mkv": "No such command 'recieve'",
+    "receive a.mkv --outptu x": "No such option", "receive a.mkv --load x.py": "--load FILE stands before the command",
+    "receive a.mkv --output": "requires an argument", "convert a.mkv b.mkv c.mkv": "unexpected extra argument",
+    "simulate a.mkv --seed -1": "--seed", "simulate a.mkv --seed x": "--seed",
+    "transmit a.npy --identity 30": "--identity", "transmit a.npy --packets 0": "--packets",
+    "probe a.mkv --frames 0": "--frames", "measure nothing": "heliograph measure --help",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

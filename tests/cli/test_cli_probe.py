@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from cli_runs import Call, Run, failed, names, succeeded
-from faulty_films import FAULTY, RIGHT, write
+from faulty_films import FAULTY, kept, link, write
 
 from heliograph.cli.console import NO_ARRAY
 
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def films(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("films")
-    write(RIGHT["right"](), folder / "right.h5")
+    write(kept(link()), folder / "right.h5")
     for name, fault in (("out-of-step", "out of step"), ("cut", "cut"), ("mislabelled", "mislabelled"),
                         ("still", "nothing blinks")):  # fmt: skip
         write(FAULTY[fault](), folder / f"{name}.h5")

@@ -59,8 +59,7 @@ def read(call: Call, film: Path, output: Path, *options: str) -> Reading:
 def test_formats_of_cameras_are_received(kind: str, known: Reading, paths: Paths, tmp_path: Path, call: Call) -> None:
     path, clockless = paths[kind]
     got = read(call, path, tmp_path / "got", *(("--fps", "1000") if clockless else ()))
-    assert got == known
-    assert (len(got[0]) >= 2, got[1]) == (True, {"array-0-high-0.bin": HIGH})
+    assert (got, len(got[0]) >= 2, got[1]) == (known, True, {"array-0-high-0.bin": HIGH})
 
 
 def test_a_cropped_and_rotated_film_is_read(shots: Path, known: Reading, tmp_path: Path, call: Call) -> None:

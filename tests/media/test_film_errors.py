@@ -80,7 +80,7 @@ def test_a_cut_film_gives_its_whole_frames_first(tmp_path: Path, suffix: str, co
 @pytest.mark.parametrize(("suffix", "options", "wrong"), [
     (".mkv", {}, b"\x10"), (".nut", {}, b"\x10"), (".mp4", {"lossless": True}, bytes(3000)),
 ])  # fmt: skip
-def test_damage_is_found_after_frames(tmp_path: Path, suffix: str, options: dict[str, object], wrong: bytes) -> None:
+def test_damage_is_found_after_frames(tmp_path: Path, suffix: str, options: Any, wrong: bytes) -> None:
     path = film_of(tmp_path / f"a{suffix}", **options)
     raw = bytearray(path.read_bytes())
     half = len(raw) // 2

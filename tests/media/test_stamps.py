@@ -64,7 +64,7 @@ def test_even_films_have_the_rate_of_their_stamps(tmp_path: Path, name: str) -> 
     with open_film(path) as film:
         assert film.rate_hz == pytest.approx(rate, rel=1e-6)
     times = times_of(path)
-    assert (np.diff(times), len(times)) == (pytest.approx(1 / rate, abs=1e-9), COUNT)
+    assert np.diff(times) == pytest.approx([1 / rate] * (COUNT - 1), abs=1e-9)
     # a given rate numbers the frames
     assert times_of(path, 500.0) == pytest.approx(np.arange(COUNT) / 500, abs=1e-12)
 
@@ -96,7 +96,7 @@ def test_missing_frames_leave_their_gaps(tmp_path: Path, name: str, tick: Fracti
 def test_a_long_gap_does_not_change_the_rate(tmp_path: Path) -> None:
     stamps = [k + (2000 if k > 30 else 0) for k in EVERY]
     with open_film(write_video(tmp_path / "a.mp4", stamps, rate=30)) as film:
-        assert (film.rate_hz, [frame.index for frame in film]) == (pytest.approx(1000), stamps)
+        assert [film.rate_hz, *(frame.index for frame in film)] == pytest.approx([1000, *stamps])
 
 
 def test_frames_hidden_by_an_edit_list_are_not_read(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_stamps_in_coding_order_are_sorted(tmp_path: Path, name: str, codec: str
     if codec not in av.codecs_available:
         pytest.skip(f"FFmpeg lacks {codec} here")
     times = times_of(rewritten(write_video(tmp_path / name, EVERY, codec=codec, options=options), EVERY))
-    assert (np.diff(times), len(times)) == (pytest.approx(1e-3), COUNT)
+    assert np.diff(times) == pytest.approx([1e-3] * (COUNT - 1))
 
 
 def test_two_frames_of_one_stamp_follow_each_other(tmp_path: Path) -> None:

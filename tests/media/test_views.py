@@ -13,7 +13,7 @@ from made_recordings import Y4M_FORMS, noise, write_y4m
 
 import heliograph
 from heliograph.base.errors import MediaError
-from heliograph.media import convert_film, open_film, planes
+from heliograph.media import open_film, planes
 
 
 def film(path: Path, bits: int = 8) -> Path:
@@ -61,13 +61,6 @@ def test_a_view_is_closed_with_its_film_and_gives_the_frames_before_damage(tmp_p
         iter(seen)
 
 
-def test_a_view_is_converted(tmp_path: Path) -> None:
-    with open_film(film(tmp_path / "a.mkv"), crop=(2, 1, 5, 4), rotate=270) as seen:
-        assert convert_film(seen, tmp_path / "b.h5") == 3
-    with open_film(tmp_path / "b.h5") as read:
-        assert np.array_equal(next(iter(read)).pixels, noise(3, 6, 10, 8)[0, 1:5, 2:7].T[::-1])
-
-
 def coded(path: Path, pixel_format: str, *, degrees: int = 0, codec: str = "ffv1", **options: Any) -> Path:
     """Write a video with two pictures, a colour per quadrant, and orientation metadata."""
     rgb = np.zeros((16, 32, 3), np.uint8)
@@ -98,9 +91,7 @@ def quarters(pixels: Any) -> list[list[int]]:
     ({"degrees": 270}, [[0, 255], [90, 0]]), ({"degrees": 360, "hflip": True}, [[0, 255], [90, 0]]),
     ({"degrees": 360, "vflip": True}, [[0, 90], [255, 0]]),
 ])  # fmt: skip
-def test_turned_and_mirrored_videos_are_upright(
-    tmp_path: Path, turn: dict[str, Any], expected: list[list[int]]
-) -> None:
+def test_turned_and_mirrored_videos_are_upright(tmp_path: Path, turn: dict[str, Any], expected: Any) -> None:
     """PyAV angles are anticlockwise."""
     with open_film(coded(tmp_path / "a.mkv", "bgr0", **turn), channel="red") as seen:
         assert (seen.width, seen.height) == ((16, 32) if turn.get("degrees") in (90, 270) else (32, 16))
@@ -144,8 +135,7 @@ def test_gray_pictures_are_the_same_in_all_channels(pixel_format: str) -> None:
     luma, bits = planes.to_gray(picture, False)
     for channel in ("red", "green", "blue"):
         pixels, same_bits = planes.to_gray(picture, False, channel)
-        assert np.array_equal(pixels, luma)
-        assert same_bits == bits
+        assert (pixels.tolist(), same_bits) == (luma.tolist(), bits)
 
 
 def test_red_of_ten_bits() -> None:
@@ -204,14 +194,10 @@ def test_pictures_are_read_in_their_colours(tmp_path: Path) -> None:
         np.testing.assert_array_equal(next(iter(film)), np.rot90(COLOURS[0, 1:4, 2:6], -1))
 
 
-def test_a_gray_film_has_three_equal_colours(tmp_path: Path) -> None:
+def test_a_gray_film_has_three_equal_colours_and_a_channel_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "gray.npy", COLOURS[..., 0].astype(np.uint16))
     with heliograph.open_colours(tmp_path / "gray.npy", rate_hz=50) as film:
-        for seen, known in zip(film, COLOURS[..., 0], strict=True):
-            np.testing.assert_array_equal(seen, np.dstack([known] * 3))
-
-
-def test_a_channel_is_refused(tmp_path: Path) -> None:
+        np.testing.assert_array_equal(list(film), COLOURS[..., :1].repeat(3, axis=3))
     with pytest.raises(heliograph.MediaError, match="has all channels: leave channel out"):
         heliograph.open_colours(tmp_path, channel="red")
     with pytest.raises(heliograph.MediaError, match="there is no file"):

@@ -156,7 +156,8 @@ def stamped(numbers: Iterable[int], jitter_s: float = 0.0) -> FrameTimes:
 
 def test_rate_follows_from_the_stamps_not_from_the_container() -> None:
     times = stamped(range(300))
-    assert (times.rate_hz, times.claimed_hz, times.jitter_s) == (pytest.approx(1000), 25, pytest.approx(0, abs=1e-9))
+    assert (times.rate_hz, times.claimed_hz) == pytest.approx((1000, 25))
+    assert times.jitter_s == pytest.approx(0, abs=1e-9)
     assert (times.count, times.lost, times.repeated, times.every) == (300, 0, 0, 1)
     assert FrameWatch(50.0).times().rate_hz == 50  # no frames
 
@@ -171,7 +172,7 @@ def test_lost_frames_are_counted_by_gaps_in_the_numbers() -> None:
         (set(range(500)) - {10, 11, 12, 400}, (1, 4, 2, 1000)), (set(range(0, 900, 3)) - {300}, (3, 1, 1, 1000 / 3))
     ):  # fmt: skip
         times = stamped(sorted(numbers))
-        assert (times.every, times.lost, times.gaps, times.rate_hz) == (*expected[:3], pytest.approx(expected[3]))
+        assert (times.every, times.lost, times.gaps, times.rate_hz) == pytest.approx(expected)
 
 
 def test_repeated_frames_are_counted() -> None:
@@ -191,7 +192,8 @@ def test_pixels_at_full_scale_are_counted() -> None:
     picture = np.full((10, 10), 100, np.uint16)
     picture[:3] = 4095
     measured = levels(picture)
-    assert (measured.at_full_scale, measured.percentiles) == (pytest.approx(0.3), {1: 100.0, 50: 100.0, 99: 4095.0})
+    assert measured.at_full_scale == pytest.approx(0.3)
+    assert measured.percentiles == {1: 100.0, 50: 100.0, 99: 4095.0}
     assert (measured.brightest, measured.ceiling, measured.full_scale) == (4095, 4095, 4095)
 
 

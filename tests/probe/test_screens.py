@@ -69,8 +69,7 @@ def test_other_faults_have_their_causes() -> None:
     """A dark screen has no glare; an array near the border is cut; a film may be shorter than a packet."""
     assert kinds(probed(filmed(gain=0.03))) == ["exposure"]
     cut = [replace(frame, pixels=frame.pixels[50:200, 92:236].copy()) for frame in good()[:104]]
-    assert kinds(probed(cut)) == ["sight"]
-    assert kinds(probed(good()[:45])) == ["unread", "short"]
+    assert (kinds(probed(cut)), kinds(probed(good()[:45]))) == (["sight"], ["unread", "short"])
 
 
 def test_rate_above_half_the_frame_rate_is_too_high() -> None:

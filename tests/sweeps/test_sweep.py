@@ -255,7 +255,7 @@ def test_two_sweeps_may_share_a_store(tmp_path: Path) -> None:
         one.add(point, 0, fake_counts(1, 0), 1.0)
         other.add(point, 0, fake_counts(1, 0), 2.0)
         other.add(point, 1, fake_counts(1, 1), 1.0)
-        assert (one.blocks(point)[0][1], one.blocks(point, 1).keys()) == (1.0, {1})
+        assert (one.blocks(point)[0][1], [*one.blocks(point, 1)]) == (1.0, [1])
 
 
 def test_foreign_files_are_refused_and_an_empty_file_is_a_new_store(tmp_path: Path) -> None:

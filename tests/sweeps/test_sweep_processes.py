@@ -197,8 +197,7 @@ def test_a_killed_worker_is_replaced_ctrl_c_shows_results_and_the_sweep_resumes(
 def test_workers_return_results_in_order_and_have_a_thread_each() -> None:
     shares: list[float] = []
     limits = each(2, os.getenv, [*THREAD_LIMITS, "HELIOGRAPH_UNSET"], shares.append)
-    assert limits == ["1"] * len(THREAD_LIMITS) + [None]
-    assert (shares[-1], shares) == (1, sorted(shares))
+    assert (limits, shares[-1], shares) == (["1"] * len(THREAD_LIMITS) + [None], 1, sorted(shares))
 
 
 def test_single_worker_is_this_process() -> None:
