@@ -176,9 +176,7 @@ WRONG_USAGE = {
         pytest.param("sweep --scheduler nowhere --output d", "no address of a scheduler", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line_and_leaves_no_file(
-    line: str, said: str, stock: Path, tmp_path: Path, call: Call
-) -> None:
+def test_bad_input_is_a_line_and_leaves_no_file(line: str, said: str, stock: Path, tmp_path: Path, call: Call) -> None:
     is_usage, before = line in WRONG_USAGE, names(stock)
     text = failed(call(*line.replace("{}", str(stock)).split()), status=2 if is_usage else 1)
     assert said in text

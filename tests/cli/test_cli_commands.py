@@ -239,9 +239,7 @@ def test_the_script_and_python_run_the_command(tmp_path: Path) -> None:
     ("heliograph si", "simulate"), ("heliograph receive --tr", "--truth"), ("heliograph demo --preset t", "two-arrays"),
     ("heliograph presets mo", "motorway"), ("heliograph receive film.h5 --receiver so", "soft"),
 ])  # fmt: skip
-def test_shells_complete_commands_and_names(
-    words: str, found: str, call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_shells_complete_words_and_names(words: str, found: str, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("_HELIOGRAPH_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", words)
     monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))

@@ -46,9 +46,7 @@ def test_results_and_errors_name_a_film_on_one_line(tmp_path: Path, call: Call) 
     assert run.stdout == f"to{SHOWN}: 20 frames\n"
 
 
-def test_characters_beyond_the_encoding_are_escaped(
-    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_characters_beyond_an_encoding_are_escaped(tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     write_levels(tmp_path / "試.h5", LEVELS)
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out := io.BytesIO(), "ascii", "strict"))
     assert (call("convert", "試.h5", "験.h5").returncode, out.getvalue()) == (0, b"\\u9a13.h5: 20 frames\n")

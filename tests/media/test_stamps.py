@@ -175,9 +175,7 @@ def test_times_in_another_unit_are_reported(
     (np.arange(COUNT), {}, "they look like milliseconds or frame numbers; write times_s in seconds"),
     (np.arange(COUNT) * 1e3, {"rate_hz": 1e3}, r"and rate_hz says 1000\.0: they look like microseconds"),
 ])  # fmt: skip
-def test_numbers_and_a_stated_rate_show_the_unit(
-    tmp_path: Path, times: Any, stated: dict[str, float], says: str
-) -> None:
+def test_numbers_and_a_stated_rate_show_units(tmp_path: Path, times: Any, stated: dict[str, float], says: str) -> None:
     with pytest.raises(MediaError, match=says):
         open_film(timed(tmp_path / "a.h5", times, **stated))
 

@@ -145,9 +145,7 @@ def test_cluster_survives_a_killed_worker_and_has_custom_parts(reference: list[d
 
 @pytest.mark.slow
 @pytest.mark.skipif(not HAS_PROC, reason="needs /proc to find worker processes")
-def test_a_killed_worker_is_replaced_ctrl_c_shows_results_and_the_sweep_resumes(
-    parts_file: Path, tmp_path: Path
-) -> None:
+def test_a_killed_worker_is_replaced_ctrl_c_shows_results_and_sweeps_resume(parts_file: Path, tmp_path: Path) -> None:
     changes = [word for change in SMALL for word in ("--set", change)]
     # long enough to be interrupted
     options = ["--vary", "channel.distance_m=60:70:10", "--max-codewords", "20000", "--workers", "2", "--json"]
