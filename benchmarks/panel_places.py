@@ -1,23 +1,19 @@
 """Accuracy of panel location and colour unmixing: `python -m benchmarks.panel_places`.
 
-The scenes in `tests/helpers/panel_scenes.py` are independent of the measured code. Family 0 served for tuning; family 1
+The scenes in `benchmarks/panel_scenes.py` are independent of the measured code. Family 0 served for tuning; family 1
 differs in clutter, noise and motion. A place is correct if every LED error is below 0.4 pitches. "Another count"
 searches a wrong number of rows or columns from corners given by hand, so every place found is wrong.
 """
 
 import argparse
-import sys
 from collections import Counter
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 import heliograph
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
-from panel_scenes import Scene, draw_scene
+from benchmarks.panel_scenes import Scene, draw_scene
 
 RIGHT_PITCHES = 0.4
 ACCEPTED = 0.75

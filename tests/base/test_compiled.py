@@ -162,11 +162,9 @@ def test_garbage_collection_resumes_after_compiling() -> None:
         return x + x
 
     assert gc.isenabled()
-    assert double(1.5) == 3.0
-    assert gc.isenabled()
+    assert (double(1.5), gc.isenabled()) == (3.0, True)
     gc.disable()
-    assert double(2) == 4
-    assert not gc.isenabled(), "as it was"
+    assert (double(2), gc.isenabled()) == (4, False), "as it was"
     gc.enable()
 
 

@@ -1,6 +1,7 @@
 """Settings from mappings, TOML and assignments, with one-line errors for invalid input."""
 
 import dataclasses
+import re
 import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
@@ -40,107 +41,66 @@ def test_a_mapping_becomes_settings_and_comes_back() -> None:
     assert from_mapping(Tree, asdict(tree)) == tree
 
 
-@pytest.mark.parametrize(
-    ("mapping", "parts"),
-    [
-        ({"coutn": 1}, ("unknown setting 'coutn'; did you mean 'count'",)),
-        ({"item": {"x": 1}}, ("unknown setting 'item.x'; did you mean 'item.x_m'",)),
-        ({"nmae": "c"}, ("unknown setting 'nmae'; did you mean", "name")),
-        ({"items": [{}, {"x_n": 1}]}, ("unknown setting 'items.1.x_n'; did you mean 'items.1.x_m'",)),
-        ({"zzzz": 1}, ("unknown setting 'zzzz'; known are count, duration_s, item, items, shares",)),
-        ({"count": "many"}, ("'count'", "integer", "'many'")),
-        ({"count": 2.5}, ("'count'", "integer", "2.5")),
-        ({"item": 3}, ("'item'", "3")),
-        ({"item": {"x_m": float("nan")}}, ("'item.x_m'", "finite", "nan")),
-        ({"item": {"x_m": float("inf")}}, ("'item.x_m'", "finite")),
-        ({"shares": [0.1, "half"]}, ("'shares.1'", "number", "'half'")),
-        ({"items": 3}, ("'items'", "tuple", "3")),
-        (None, ("Tree",)),
-        (5, ("Tree",)),
-        ([1], ("Tree",)),
-        ("text", ("Tree",)),
-    ],
-)
-def test_invalid_mapping_is_one_line_with_key_rule_and_value(mapping: Any, parts: tuple[str, ...]) -> None:
-    with pytest.raises(SettingsError) as caught:
+@pytest.mark.parametrize(("mapping", "parts"), [
+    ({"coutn": 1}, ["unknown setting 'coutn'; did you mean 'count'"]),
+    ({"item": {"x": 1}}, ["unknown setting 'item.x'; did you mean 'item.x_m'"]),
+    ({"nmae": "c"}, ["unknown setting 'nmae'; did you mean", "name"]),
+    ({"items": [{}, {"x_n": 1}]}, ["unknown setting 'items.1.x_n'; did you mean 'items.1.x_m'"]),
+    ({"zzzz": 1}, ["unknown setting 'zzzz'; known are count, duration_s, item, items, shares"]),
+    ({"count": "many"}, ["'count'", "integer", "'many'"]), ({"count": 2.5}, ["'count'", "integer", "2.5"]),
+    ({"item": 3}, ["'item'", "3"]), ({"item": {"x_m": float("nan")}}, ["'item.x_m'", "finite", "nan"]),
+    ({"item": {"x_m": float("inf")}}, ["'item.x_m'", "finite"]),
+    ({"shares": [0.1, "half"]}, ["'shares.1'", "number", "'half'"]), ({"items": 3}, ["'items'", "tuple", "3"]),
+    *[(other, ["Tree"]) for other in (None, 5, [1], "text")],
+])  # fmt: skip
+def test_invalid_mapping_is_one_line_with_key_rule_and_value(mapping: Any, parts: list[str]) -> None:
+    with pytest.raises(SettingsError, match=".*".join(map(re.escape, parts))):
         from_mapping(Tree, mapping)
-    assert all(part in str(caught.value) for part in parts), str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
-        ("channel.distance_m=-1", ("channel.distance_m", "greater than or equal to 0.1", "-1")),
-        ("channel.sensor.bits=13", ("channel.sensor.bits", "12", "13")),
-        ("signal.side=7", ("signal.side", "multiple of 4", "7")),
-        ("channel.camera.exposure_s=0.002", ("exposure_s", "0.001", "0.002")),
-        ("receive.detect.min_side_px=600", ("min_side_px", "max_side_px", "600")),
-        ("transmit.identities=[30]", ("transmit.identities.0", "30")),
-        ("channel.stop_m=90", ("stop_m", "80", "90")),
-        ("channel.arrays.0.hidden=[0,0,5,5]", ("setting 'channel.arrays.0.hidden",)),
-        *((text, ("write key=value",)) for text in ("", "a", "a.b", "=3", "a.=3", ".a=3", "a..b=3")),
-    ],
-)
-def test_invalid_assignment_is_one_line_with_key_and_range(change: str, parts: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("change", "parts"), [
+    ("channel.distance_m=-1", ["channel.distance_m", "greater than or equal to 0.1", "-1"]),
+    ("channel.sensor.bits=13", ["channel.sensor.bits", "12", "13"]),
+    ("signal.side=7", ["signal.side", "multiple of 4", "7"]),
+    ("channel.camera.exposure_s=0.002", ["exposure_s", "0.001", "0.002"]),
+    ("receive.detect.min_side_px=600", ["min_side_px", "max_side_px", "600"]),
+    ("transmit.identities=[30]", ["transmit.identities.0", "30"]), ("channel.stop_m=90", ["stop_m", "80", "90"]),
+    ("channel.arrays.0.hidden=[0,0,5,5]", ["setting 'channel.arrays.0.hidden"]),
+    *[(text, ["write key=value"]) for text in ("", "a", "a.b", "=3", "a.=3", ".a=3", "a..b=3")],
+])  # fmt: skip
+def test_invalid_assignment_is_one_line_with_key_and_range(change: str, parts: list[str]) -> None:
     with pytest.raises(SettingsError) as caught:
         load_settings(assignments=[change])
-    assert all(part in str(caught.value) for part in parts), str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert [part for part in parts if part not in str(caught.value)] == []
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("3", 3),
-        (" 2.5", 2.5),
-        ("true", True),
-        ("[1, 2]", [1, 2]),
-        ("'plain'", "plain"),
-        ("plain", "plain"),
-        ("1/3", "1/3"),
-        ("{x = 1}", {"x": 1}),
-        ("", ""),
-        ("1\nother = 2", "1\nother = 2"),
-    ],
-)
+@pytest.mark.parametrize(("text", "value"), [
+    ("3", 3), (" 2.5", 2.5), ("true", True), ("[1, 2]", [1, 2]), ("'plain'", "plain"), ("plain", "plain"),
+    ("1/3", "1/3"), ("{x = 1}", {"x": 1}), ("", ""), ("1\nother = 2", "1\nother = 2"),
+])  # fmt: skip
 def test_the_value_of_an_assignment_is_toml_or_bare_text(text: str, value: Any) -> None:
     assert parse_assignment(f"a.b={text}") == {"a": {"b": value}}
 
 
-def test_toml_is_read_and_its_errors_are_settings_errors() -> None:
-    assert parse_toml("[a]\nb = 1") == {"a": {"b": 1}}
+@pytest.mark.parametrize("wrong", ["2", "-1", "x", ""])
+def test_numbers_of_missing_list_items_are_refused(wrong: str) -> None:
+    with pytest.raises(SettingsError, match="not an item of a list of 1"):
+        merge(({"x": 0, "y": 1},), {wrong: {"x": 5}})
+
+
+def test_toml_errors_are_settings_errors() -> None:
     with pytest.raises(SettingsError, match=r"not valid TOML.*line 2"):
         parse_toml("a = 1\nb = = 2\n")
 
 
-def test_numbers_of_missing_list_items_are_refused() -> None:
-    assert merge((1, 2, 3), {"1": 7}) == [1, 7, 3]
-    for wrong in ("2", "-1", "x", ""):
-        with pytest.raises(SettingsError, match="not an item of a list of 1"):
-            merge(({"x": 0, "y": 1},), {wrong: {"x": 5}})
-
-
 def test_later_assignments_win() -> None:
-    settings = load_settings(
-        over={"channel": {"distance_m": 60.0}},
-        assignments=["channel.arrays.0.x_m=2", "channel.distance_m=50", "channel.arrays.0.x_m=3"],
-    )
-    assert settings.channel.distance_m == 50
-    assert settings.channel.arrays[0].x_m == 3
-    assert settings.channel.arrays[0].y_m == -1.0
+    changes = ["channel.arrays.0.x_m=2", "channel.distance_m=50", "channel.arrays.0.x_m=3"]
+    channel = load_settings(over={"channel": {"distance_m": 60.0}}, assignments=changes).channel
+    assert (channel.distance_m, channel.arrays[0].x_m, channel.arrays[0].y_m) == (50, 3, -1.0)
 
 
 def test_keys_are_leaves_by_dots() -> None:
-    assert list(keys_of(Tree)) == [
-        "count",
-        "duration_s",
-        "shares",
-        "item.x_m",
-        "item.name",
-        "items.0.x_m",
-        "items.0.name",
-    ]
+    assert ",".join(keys_of(Tree)) == "count,duration_s,shares,item.x_m,item.name,items.0.x_m,items.0.name"
     known = set(keys_of(LinkSettings))
     assert {"signal.rate.low", "channel.camera.fps", "channel.arrays.0.x_m", "receive.decode.iterations"} <= known
 
@@ -154,9 +114,8 @@ def test_toml_of_every_preset_reads_back_the_same(name: str) -> None:
 
 
 def test_toml_omits_none() -> None:
-    assert tomllib.loads(to_toml({"a": None, "b": 1, "i": [{"a": 1, "s": {"b": None}}, {"a": 3}]})) == {
-        "b": 1, "i": [{"a": 1, "s": {}}, {"a": 3}]
-    }  # fmt: skip
+    text = to_toml({"a": None, "b": 1, "i": [{"a": 1, "s": {"b": None}}, {"a": 3}]})
+    assert tomllib.loads(text) == {"b": 1, "i": [{"a": 1, "s": {}}, {"a": 3}]}
 
 
 def test_a_plain_dataclass_refuses_keys_that_it_lacks() -> None:
@@ -192,9 +151,8 @@ def test_changes_replace_values_and_keep_the_rest() -> None:
     over = {"a": {}, "b": {"c": [5], "d": {}}, "f": 4, "g": {"h": 6}}
     before = deepcopy((base, over))
     merged = merge(base, over)
-    assert merged == {"a": {}, "b": {"c": [5], "d": {"e": 3}}, "f": 4, "g": {"h": 6}}
+    assert merged == merge(merged, over) == {"a": {}, "b": {"c": [5], "d": {"e": 3}}, "f": 4, "g": {"h": 6}}
     assert (base, over) == before
-    assert merge(merged, over) == merged
     assert merge(base, {}) == merge({}, base) == base
 
 
@@ -203,9 +161,7 @@ def test_changes_replace_values_and_keep_the_rest() -> None:
     items=st.lists(st.fixed_dictionaries({"a": st.integers(), "b": st.integers()}), min_size=1, max_size=4),
     changes=st.dictionaries(st.integers(0, 3), st.dictionaries(st.sampled_from("abc"), st.integers(), min_size=1)),
 )
-def test_a_mapping_laid_on_a_list_changes_items_by_number(
-    items: list[dict[str, int]], changes: dict[int, dict[str, int]]
-) -> None:
+def test_a_mapping_laid_on_a_list_changes_items_by_number(items: Any, changes: dict[int, dict[str, int]]) -> None:
     changes = {k: change for k, change in changes.items() if k < len(items)}
     expected = [{**item, **changes.get(k, {})} for k, item in enumerate(items)]
     assert merge(items, {str(k): change for k, change in changes.items()}) == expected
@@ -222,8 +178,7 @@ def test_an_assignment_and_back(path: list[str], value: Any) -> None:
     for key in path:
         assert list(tree) == [key]
         tree = tree[key]
-    assert tree == value
-    assert type(tree) is type(value)
+    assert (tree, type(tree)) == (value, type(value))
 
 
 def optional(**values: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:

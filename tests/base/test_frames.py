@@ -20,10 +20,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "fractions": ({"pixels": np.zeros((32, 64))}, "uint8 or uint16, not float64"),
     "wide integers": ({"pixels": np.zeros((32, 64), np.int32)}, "uint8 or uint16, not int32"),
     "foreign order of bytes": ({"pixels": np.zeros((32, 64), ">u2"), "bits": 16}, "not >u2"),
-    "masked pixels": (
-        {"pixels": np.ma.masked_less(np.arange(6, dtype=np.uint8).reshape(2, 3), 2)},
-        "2 pixels .* masked",
-    ),
+    "masked pixels": ({"pixels": np.ma.masked_less(np.arange(6, dtype=np.uint8)[None], 2)}, "2 pixels .* masked"),
     "a buffer": ({"pixels": memoryview(bytes(6))}, "a NumPy array, not memoryview"),
     "no array": ({"pixels": [[1, 2]]}, "a NumPy array, not list"),
     "bits of another type": ({"pixels": GRAY.astype(np.uint16)}, "uint16 have 9 to 16 bits, not 8"),
@@ -41,25 +38,22 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("what", WRONG)
-def test_what_is_no_frame_is_one_clear_line(what: str) -> None:
-    changes, says = WRONG[what]
-    given: dict[str, Any] = {"index": 0, "time_s": 0.0, "pixels": GRAY, **changes}
-    with pytest.raises(HeliographError, match=says) as caught:
-        Frame(**given)
-    assert "\n" not in str(caught.value)
+@pytest.mark.parametrize(("changes", "says"), WRONG.values(), ids=WRONG)
+def test_what_is_no_frame_is_one_clear_line(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(HeliographError, match=says):
+        Frame(**{"index": 0, "time_s": 0.0, "pixels": GRAY, **changes})
 
 
-def test_numbers_of_numpy_and_windows_are_frames() -> None:
+def test_numbers_of_numpy_windows_and_large_views_are_frames() -> None:
     wide = Frame(np.int64(3), np.float32(0.5), GRAY[:, ::2].astype(np.uint16), np.int64(12), (np.int32(4), 2))  # type: ignore[arg-type]
     assert wide.full_scale == 4095
+    Frame(0, 0.0, np.broadcast_to(np.zeros((), np.uint8), (1 << 20, 1 << 20)))  # an hour of reading
 
 
 @pytest.mark.parametrize("make", [np.ma.masked_array, lambda pixels: pixels.view(np.recarray)])
 def test_a_subclass_of_arrays_becomes_an_array(make: Callable[[Any], Any]) -> None:
-    frame = Frame(0, 0.0, make(GRAY.copy()))
-    assert type(frame.pixels) is np.ndarray
-    assert (frame.pixels == GRAY).all()
+    pixels = Frame(0, 0.0, make(GRAY.copy())).pixels
+    assert (type(pixels), pixels.tolist()) == (np.ndarray, GRAY.tolist())
 
 
 def test_a_copy_of_a_frame_lies_row_after_row_in_memory() -> None:
@@ -73,19 +67,12 @@ def test_a_copy_of_a_frame_lies_row_after_row_in_memory() -> None:
     assert copy.pixels.any()
 
 
-def test_check_reads_no_pixels() -> None:
-    Frame(0, 0.0, np.broadcast_to(np.zeros((), np.uint8), (1 << 20, 1 << 20)))  # an hour of reading
-
-
-@pytest.mark.parametrize(
-    ("receiver", "change", "says"),
-    [
-        ("plain", lambda frame: replace(frame, pixels=frame.pixels[:20]), "64x20 after 64x32 pixels"),
-        ("soft", lambda frame: replace(frame, pixels=frame.pixels.astype(np.uint16), bits=12), "same bits"),
-        ("plain", lambda frame: replace(frame, pixels=frame.pixels[:0]), "frame 3 has no pixels"),
-        ("soft", lambda frame: frame.pixels, "takes heliograph.Frame, not ndarray"),
-    ],
-)
+@pytest.mark.parametrize(("receiver", "change", "says"), [
+    ("plain", lambda frame: replace(frame, pixels=frame.pixels[:20]), "64x20 after 64x32 pixels"),
+    ("soft", lambda frame: replace(frame, pixels=frame.pixels.astype(np.uint16), bits=12), "same bits"),
+    ("plain", lambda frame: replace(frame, pixels=frame.pixels[:0]), "frame 3 has no pixels"),
+    ("soft", lambda frame: frame.pixels, "takes heliograph.Frame, not ndarray"),
+])  # fmt: skip
 def test_frames_of_one_receiver_are_of_one_camera(receiver: str, change: Callable[[Frame], Any], says: str) -> None:
     taker = make_receiver(SignalSettings(), ReceiveSettings(receiver=receiver))
     noise = np.random.default_rng(0).integers(0, 99, (5, 32, 64), dtype=np.uint8)
@@ -103,14 +90,12 @@ def test_frames_of_one_receiver_are_of_one_camera(receiver: str, change: Callabl
     (GRAY + 7, {}, (np.uint8, 8, 7)),
     (np.full((2, 3, 3), (10, 20, 30), np.uint8), {}, (np.uint8, 8, round(0.299 * 10 + 0.587 * 20 + 0.114 * 30))),
     (np.full((2, 3, 4), 4000, np.uint16), {"bits": 12}, (np.uint16, 12, 4000)),
-    (np.full((2, 3), 0.5), {}, (np.uint16, 16, 32768)),
-    (np.full((2, 3), 1.5), {"bits": 8}, (np.uint8, 8, 255)),
+    (np.full((2, 3), 0.5), {}, (np.uint16, 16, 32768)), (np.full((2, 3), 1.5), {"bits": 8}, (np.uint8, 8, 255)),
     ([[0.25, 0.25]], {"bits": 12}, (np.uint16, 12, 1024)),
 ])  # fmt: skip
 def test_images_of_other_libraries_become_frames(image: Any, changes: Any, expected: tuple[Any, int, int]) -> None:
     frame = Frame.from_array(image, 5, rate_hz=1000, **changes)
-    kind, bits, level = expected
-    assert (frame.pixels.dtype, frame.bits, int(frame.pixels[0, 0])) == (kind, bits, level)
+    assert (frame.pixels.dtype, frame.bits, int(frame.pixels[0, 0])) == expected
     assert (frame.index, frame.time_s) == (5, 0.005)
 
 

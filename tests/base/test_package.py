@@ -28,10 +28,10 @@ def test_package_and_command_import_no_heavy_library() -> None:
 @pytest.mark.slow
 def test_public_names_stay_the_same_and_need_no_extra() -> None:
     """A function named like a subpackage (sweep) must not become the subpackage after import."""
-    code = "import sys; sys.modules['xarray'] = None\nimport heliograph as h\nfor n in h.__all__:\n"
-    code += "    assert getattr(h, n) is getattr(h, n), n\n    assert callable(getattr(h, n)), n\n"
-    code += "    assert getattr(h, n).__doc__, n\n"
-    code += "try: h.sweep({})\nexcept h.HeliographError as error: print(error)"
+    code = """import sys; sys.modules['xarray'] = None; import heliograph as h
+for n in h.__all__: assert getattr(h, n) is getattr(h, n) and callable(getattr(h, n)) and getattr(h, n).__doc__, n
+try: h.sweep({})
+except h.HeliographError as error: print(error)"""
     assert run(code) == "a Dataset needs xarray: pip install xarray pandas h5netcdf"
 
 

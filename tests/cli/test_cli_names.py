@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import Call, failed, within
+from cli_runs import Call, failed
 from film_checks import write_levels
 
 from heliograph.cli import console, messages
@@ -46,21 +46,10 @@ def test_results_and_errors_name_a_film_on_one_line(tmp_path: Path, call: Call) 
     assert run.stdout == f"to{SHOWN}: 20 frames\n"
 
 
-def test_characters_missing_from_the_encoding_are_escaped(
-    tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_characters_beyond_an_encoding_are_escaped(tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     write_levels(tmp_path / "試.h5", LEVELS)
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(out := io.BytesIO(), "ascii", "strict"))
-    assert call("convert", "試.h5", "験.h5").returncode == 0
-    assert out.getvalue() == b"\\u9a13.h5: 20 frames\n"
-
-
-def test_a_film_named_like_a_camera_is_a_film(tmp_path: Path) -> None:
-    write_levels(tmp_path / "camera:x.h5", LEVELS)
-    for name in ("./camera:x.h5", "camera:x.h5"):
-        assert failed(within(tmp_path, "receive", name)).startswith("heliograph: ")
-        assert within(tmp_path, "convert", name, "a.h5").stdout == "a.h5: 20 frames\n"
-    assert "there is no file" in failed(within(tmp_path, "convert", "./camera:y.h5", "a.h5"))
+    assert (call("convert", "試.h5", "験.h5").returncode, out.getvalue()) == (0, b"\\u9a13.h5: 20 frames\n")
 
 
 @pytest.mark.parametrize("name", ["a.h5", "a b.h5", "-x.h5", "it's.h5", "$(rm x)`", ODD, "試.h5", "caf\udce9b\\n.h5"])
@@ -88,6 +77,5 @@ def test_recordings_may_have_any_name_and_suffix(tmp_path: Path) -> None:
     (tmp_path / "driving").mkdir()
     for name in ("caf\udce9.Mp4", "a.mp4", "a.MP4", "b.txt"):
         (tmp_path / "driving" / name).touch()
-    clips = recordings_in(tmp_path)["clips"]
-    assert sorted(clips) == ["a", "a.mp4", "caf\\xe9"]
-    assert sorted(path.name for path in clips.values()) == ["a.MP4", "a.mp4", "caf\udce9.Mp4"]
+    clips = {name: path.name for name, path in recordings_in(tmp_path)["clips"].items()}
+    assert (sorted(clips), sorted(clips.values())) == (["a", "a.mp4", "caf\\xe9"], ["a.MP4", "a.mp4", "caf\udce9.Mp4"])

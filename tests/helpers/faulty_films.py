@@ -1,7 +1,7 @@
 """Small array films with a single fault each, as delivered by a camera: no metadata, no truth."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,26 +23,15 @@ class KeptFilm:
     frames: Sequence[Frame]
     rate_hz: float = 1000.0
     path: Path = Path("the film")
+    metadata: dict[str, str] = field(default_factory=dict)
 
     @property
     def frame_count(self) -> int:
         return len(self.frames)
 
-    @property
-    def width(self) -> int:
-        return int(self.frames[0].pixels.shape[1])
-
-    @property
-    def height(self) -> int:
-        return int(self.frames[0].pixels.shape[0])
-
-    @property
-    def bits(self) -> int:
-        return self.frames[0].bits
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        return {}
+    width = property(lambda self: int(self.frames[0].pixels.shape[1]))
+    height = property(lambda self: int(self.frames[0].pixels.shape[0]))
+    bits = property(lambda self: int(self.frames[0].bits))
 
     def __iter__(self) -> Iterator[Frame]:
         return iter(self.frames)
@@ -95,16 +84,11 @@ def blinking_square() -> KeptFilm:
 
 def write(film: KeptFilm, path: Path) -> Path:
     """Write a film file without metadata."""
-    first = film.frames[0]
-    with create_film(path, width=film.width, height=film.height, rate_hz=film.rate_hz, bits=first.bits) as target:
+    with create_film(path, width=film.width, height=film.height, rate_hz=film.rate_hz, bits=film.bits) as target:
         for frame in film.frames:
             target.write(frame)
-        target.finish()
     return path
 
-
-RIGHT: dict[str, Callable[[], KeptFilm]] = {"right": lambda: kept(link())}
-"""Decodable films."""
 
 FAULTY: dict[str, Callable[[], KeptFilm]] = {
     "too small": lambda: kept(link(distance_m=330.0, duration_s=0.22)),

@@ -51,6 +51,27 @@ def starts(frames: list[Frame], levels: Any) -> bool:
     return same(frames, levels[: len(frames)])
 
 
+def form(path: Path, **options: Any) -> tuple[int, int, int, float, int | None]:
+    """Return width, height, bits, frame rate and number of frames."""
+    with open_film(path, **options) as film:
+        return film.width, film.height, film.bits, film.rate_hz, film.frame_count
+
+
+def holds(path: Path, levels: Any, times_s: Any = None, indices: Any = None, **options: Any) -> bool:
+    """Return True if a film has the levels, and the times within 2 ns and the numbers if given."""
+    frames = read(path, **options)
+    assert times_s is None or [frame.time_s for frame in frames] == pytest.approx(times_s, abs=2e-9)
+    assert indices is None or [frame.index for frame in frames] == list(indices)
+    return same(frames, levels)
+
+
+def ends(path: Path, levels: Any, says: str, **options: Any) -> bool:
+    """Return True if a film has the levels before an error with a text."""
+    frames, message = refused(path, **options)
+    assert says in message
+    return len(frames) == len(levels) and same(frames, levels)
+
+
 def counts_of(film: LiveReader) -> CameraCounts:
     assert film.counts is not None
     return film.counts

@@ -94,19 +94,17 @@ def coded(suffix: str, picture: Any, *options: int) -> bytes:
 
 def film_seeds(folder: Path, note: str) -> Seeds:
     """Return parsers with films from `create_film`, from cameras, and from pictures."""
-    found = {}
+    found, metadata = {}, {"heliograph_signal": note}
     for suffix, codec in CODECS.items():
-        path = folder / f"b{suffix}"
-        write_levels(path, noise(12, 16, 24, 8), codec=codec, metadata={"heliograph_signal": note})
+        path = write_levels(folder / f"b{suffix}", noise(12, 16, 24, 8), codec=codec, metadata=metadata)
         found[suffix] = [path.read_bytes()]
-    films = {f"film{suffix}": (film_parser(suffix), good) for suffix, good in (found | foreign(folder)).items()}
+    found |= {**foreign(folder), ".png": still(".png", deep=True), ".jpg": still(".jpg")}
+    films = {f"film{suffix}": (film_parser(suffix), good) for suffix, good in found.items()}
     for header in (".cih", ".cihx"):
         films[f"film{header}"] = (photron_parser(header), photron(folder, header))
     for suffix in (".png", ".jpg", ".tif"):
         good = still(suffix)
         films[f"shots{suffix}"] = (shots_parser(suffix, good[0]), good)
-    films["film.png"] = (film_parser(".png"), still(".png", deep=True))
-    films["film.jpg"] = (film_parser(".jpg"), still(".jpg"))
     return films
 
 

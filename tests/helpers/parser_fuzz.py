@@ -35,9 +35,9 @@ LIMIT_S = 10.0
 
 WORDS = [
     b"nan", b"inf", b"-1", b"0", b"1e308", b"1e-308", b"true", b"null", b"[", b"]", b"{", b"}", b'"', b"=", b".", b",",
-    b":", b"\n", b"\x00", b"\xff", b"9" * 5000, b"[" * 3000, b"0x" + b"f" * 5000, b"a." * 500,
-    b"1:1e9:1e-9", b"1e999999999",
-    b"channel", b"signal.side", b"receive.receiver", b"1979-05-27", b"'''", b"\xe2\x80\xa8", b"frames", b"times_s",
+    b":", b"\n", b"\x00", b"\xff", b"9" * 5000, b"[" * 3000, b"0x" + b"f" * 5000, b"a." * 500, b"1:1e9:1e-9",
+    b"1e999999999", b"channel", b"signal.side", b"receive.receiver", b"1979-05-27", b"'''", b"\xe2\x80\xa8", b"frames",
+    b"times_s",
 ]  # fmt: skip
 """Words inserted into texts."""
 
@@ -70,8 +70,6 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
 
 
 def of_file(suffix: str, read: Callable[[Path], object]) -> Parser:
-    """Return a parser of files."""
-
     def parse(data: bytes, folder: Path) -> object:
         path = folder / f"a{suffix}"
         path.write_bytes(data)
@@ -81,7 +79,6 @@ def of_file(suffix: str, read: Callable[[Path], object]) -> Parser:
 
 
 def of_text(read: Callable[[str], object]) -> Parser:
-    """Return a parser of texts."""
     return lambda data, _: read(data.decode(errors="replace"))
 
 
@@ -111,8 +108,7 @@ def read_assignment(text: str) -> object:
 
 
 def read_vary(text: str) -> object:
-    key, values = parse_vary(text)
-    return grid({key: values})
+    return grid(dict([parse_vary(text)]))
 
 
 def read_note(text: str) -> object:
@@ -129,10 +125,10 @@ def read_block(data: bytes, _: Path) -> object:
 
 def read_road(data: bytes, _: Path) -> object:
     values = road_values(data)
-    if values is None:
-        return None
-    Countdown().take(values, 1.0)
-    return road_words(values)
+    if values is not None:
+        Countdown().take(values, 1.0)
+        return road_words(values)
+    return None
 
 
 def seeds(folder: Path) -> Seeds:
@@ -140,26 +136,23 @@ def seeds(folder: Path) -> Seeds:
     small = ["channel.camera.width=64", "channel.camera.height=32", "channel.duration_s=0.02"]
     settings = load_settings("static", None, small)
     write_film(folder / "a.h5", settings, [{"high": [b"kept"], "low": [b"more"]}], seed=1)
-    truth = (folder / "a.h5.truth.npz").read_bytes()
-    found: Seeds = {"truth": (read_truth, [truth, unpacked(folder / "a.h5.truth.npz")])}
+    truth = folder / "a.h5.truth.npz"
     note = json.dumps(asdict(settings.signal))
     slots = np.random.default_rng(0).integers(0, 2, (12, 8, 8), dtype=np.uint8)
-    found |= film_seeds(folder, note)
+    found = film_seeds(folder, note)
     for suffix in SUFFIXES:
-        write_slots(folder / f"c{suffix}", slots, SlotForm(8, 4, 250_000, len(slots)))
-        found[f"slots{suffix}"] = (
-            of_file(suffix, lambda path: list(open_slots(path))),
-            [(folder / f"c{suffix}").read_bytes()],
-        )
+        path = folder / f"c{suffix}"
+        write_slots(path, slots, SlotForm(8, 4, 250_000, len(slots)))
+        found[f"slots{suffix}"] = of_file(suffix, lambda path: list(open_slots(path))), [path.read_bytes()]
     trees = [to_toml(asdict(load_settings(name))).encode() for name in ("paper", "two-arrays")]
-    keys = [b"channel.distance_m=60", b"channel.arrays.0.x_m=1.5", b"signal.rate.high=1/2",
-            b"receive.receiver='soft'",
+    keys = [b"channel.distance_m=60", b"channel.arrays.0.x_m=1.5", b"signal.rate.high=1/2", b"receive.receiver='soft'",
             b"channel.arrays=[{x_m=1}]", b"transmit.identities=[3]", b"channel.speed_profile=[[0, 3]]"]  # fmt: skip
     ranges = [b"channel.distance_m=10,25:120:5", b"receiver=plain,soft", b"preset=paper", b"signal.side=[1,2],{a=1}"]
     record = FilmRecord(rate_hz=1000.0, bits=8, start_s=0.0, metadata={"a": "b"})
     rows = [b"t_s,gyro_fwd_rad_s,gyro_right,gyro_down,speed_m_s"] + [b"%f,0,0.1,0,8" % (k / 50) for k in range(40)]
     block = pack(Block("high", 3, 1, 0, 4, b"kept"), 8 * 40)
     return found | {
+        "truth": (read_truth, [truth.read_bytes(), unpacked(truth)]),
         "trace": (of_file(".csv", load_imu), [b"\n".join(rows)]),
         "settings": (of_text(lambda text: load_settings("paper", parse_toml(text))), trees),
         "set": (of_text(read_assignment), keys),

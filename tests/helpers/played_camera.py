@@ -22,17 +22,13 @@ STEP_NS = 10_000_000
 class PlayedCamera:
     """Film playback; see `heliograph.media.live.camera.Camera`."""
 
-    opened = 0
-    """Number of cameras opened so far."""
-    unplugged = 0
-    """Remaining failures to open after a disconnection."""
+    # cameras opened so far, failures to open left after a disconnection, and the frame at the last disconnection
+    opened, unplugged = 0, 0
     pulled: int | None = None
-    """Frame number at the last disconnection."""
 
     def __init__(self, address: str):
-        self._path = address
+        self._path, self._next = address, 0
         self._frames: list[Frame] = []
-        self._next = 0
         self._began_s: float | None = None
 
     def open(self, settings: CameraSettings) -> CameraForm:
@@ -63,21 +59,16 @@ class PlayedCamera:
         for number in range(self._next, min(due, last)):
             if number == self._asked.get("Unplugged") and type(self).pulled != number:
                 if not pictures:
-                    self._pull(number)
+                    type(self).pulled, type(self).unplugged = number, int(self._asked.get("Back", 0))
+                    raise CameraLostError("the cable was pulled")
                 return pictures
             self._next = number + 1
-            if number in (self._asked.get("Lost"), self._asked.get("Lost2")):
-                continue
-            pictures.append(self._picture(number))
+            if number not in (self._asked.get("Lost"), self._asked.get("Lost2")):
+                pictures.append(self._picture(number))
         return pictures
 
     def close(self) -> None:
         pass
-
-    def _pull(self, number: int) -> None:
-        cls = type(self)
-        cls.pulled, cls.unplugged = number, int(self._asked.get("Back", 0))
-        raise CameraLostError("the cable was pulled")
 
     def _picture(self, number: int) -> Picture:
         if number == self._asked.get("Broken"):

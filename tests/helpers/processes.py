@@ -1,5 +1,6 @@
 """Processes of this machine, found in /proc."""
 
+from contextlib import suppress
 from pathlib import Path
 
 HAS_PROC = Path("/proc/self/stat").exists()
@@ -15,10 +16,8 @@ def is_running(pid: int) -> bool:
 def worker_processes(parent: int) -> list[int]:
     found = []
     for entry in Path("/proc").iterdir():
-        try:
+        with suppress(OSError, ValueError, IndexError):
             fields = (entry / "stat").read_text().rpartition(")")[2].split()
             if int(fields[1]) == parent and b"spawn_main" in (entry / "cmdline").read_bytes():
                 found.append(int(entry.name))
-        except (OSError, ValueError, IndexError):
-            continue
     return found

@@ -35,13 +35,6 @@ def test_a_film_of_any_name_is_written_and_read(name: bytes, tmp_path: Path, mon
         Path(film).unlink()
 
 
-@pytest.mark.parametrize("suffix", [".NUT", ".mP4", ".AVI", ".Hdf5", ".MKV"])
-def test_a_suffix_may_have_capitals(suffix: str, tmp_path: Path) -> None:
-    write_levels(tmp_path / f"a{suffix}", FRAME)
-    with open_film(tmp_path / f"a{suffix}") as source:
-        assert sum(1 for _ in source) == 1
-
-
 def test_an_error_states_a_long_name_in_full(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match=r"cannot write .*/n{253}\.h5: File name too long; choose a name"):
         write_levels(tmp_path / ("n" * 253 + ".h5"), FRAME)

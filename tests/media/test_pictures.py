@@ -7,20 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import film_checks
 import numpy as np
 import pytest
-from film_checks import read, same, starts
+from film_checks import ends, form, holds, read, refused
 from made_recordings import Levels, noise, write_pictures, write_tiff
 from PIL import Image
 
-from heliograph.base.frames import Frame
 from heliograph.media import open_film
 
-
-def refused(path: Path, **options: Any) -> tuple[list[Frame], str]:
-    """Return the frames of a film of 1000 frames/s before the error, and the error."""
-    return film_checks.refused(path, **{"rate_hz": 1000.0, **options})
+RATE = {"rate_hz": 1000}
 
 
 @pytest.mark.parametrize("bits", [8, 16])
@@ -31,32 +26,28 @@ def test_a_folder_and_a_pattern(tmp_path: Path, bits: int, suffix: str) -> None:
     (tmp_path / "a" / "notes.txt").write_text("of the day")
     (tmp_path / "a" / ".hidden.png").write_text("of the system")
     for path in (tmp_path / "a", tmp_path / "a" / f"img%d{suffix}"):
-        with open_film(path, rate_hz=500) as film:
-            got = list(film)
-            assert (film.width, film.height, film.bits, film.rate_hz, film.frame_count) == (10, 6, bits, 500, 12)
-        assert same(got, levels)
-        assert [frame.time_s for frame in got] == pytest.approx(np.arange(12) / 500)
+        assert form(path, rate_hz=500) == (10, 6, bits, 500, 12)
+        assert holds(path, levels, np.arange(12) / 500, rate_hz=500)
 
 
 def test_a_number_that_a_pattern_lacks_is_a_lost_frame(tmp_path: Path) -> None:
-    write_pictures(tmp_path / "a", noise(5, 6, 10, 8), "img%04d.png", first=7)
-    (tmp_path / "a" / "img0009.png").unlink()
-    with open_film(tmp_path / "a" / "img%04d.png", rate_hz=100) as film:
-        assert [(frame.index, frame.time_s) for frame in film] == [(0, 0), (1, 0.01), (3, 0.03), (4, 0.04)]
-    with open_film(tmp_path / "a", rate_hz=100) as film:
-        assert [frame.index for frame in film] == [0, 1, 2, 3]
+    folder, levels = tmp_path / "a", noise(5, 6, 10, 8)
+    write_pictures(folder, levels, "img%04d.png", first=7)
+    (folder / "img0009.png").unlink()
+    left = np.delete(levels, 2, axis=0)
+    assert holds(folder / "img%04d.png", left, [0, 0.001, 0.003, 0.004], [0, 1, 3, 4], **RATE)
+    assert holds(folder, left, indices=range(4), **RATE)
 
 
 @pytest.mark.parametrize("bits", [8, 16])
 def test_colours(tmp_path: Path, bits: int) -> None:
     colours = noise(2, 6, 30, bits).reshape(2, 6, 10, 3)  # OpenCV order: blue, green, red
-    write_pictures(tmp_path / "a", colours)
-    for channel, place in {"blue": 0, "green": 1, "red": 2}.items():
-        with open_film(tmp_path / "a", rate_hz=10, channel=channel) as film:
-            assert same(list(film), colours[..., place])
-    assert same(read(tmp_path / "a", rate_hz=10), np.rint(colours @ np.array([0.114, 0.587, 0.299])))  # Rec. 601
+    folder = write_pictures(tmp_path / "a", colours)
+    for place, channel in enumerate(("blue", "green", "red")):
+        assert holds(folder, colours[..., place], channel=channel, **RATE)
+    assert holds(folder, np.rint(colours @ np.array([0.114, 0.587, 0.299])), **RATE)  # Rec. 601
     levels = np.arange(256, dtype=np.uint8).reshape(1, 16, 16)
-    assert same(read(write_pictures(tmp_path / "gray", np.stack([levels] * 3, axis=-1)), rate_hz=10), levels)
+    assert holds(write_pictures(tmp_path / "gray", np.stack([levels] * 3, axis=-1)), levels, **RATE)
 
 
 def test_a_missing_rate_is_named(tmp_path: Path) -> None:
@@ -65,21 +56,21 @@ def test_a_missing_rate_is_named(tmp_path: Path) -> None:
     write_tiff(tmp_path / "a.tif", noise(2, 4, 4, 8))
     for path in (folder, folder / "img%04d.png", tmp_path / "a.npy", tmp_path / "a.tif"):
         cure = "by --fps (rate_hz; on page Watch Frames/s)"
-        says = refused(path, rate_hz=None)[1]
-        assert says == f"{path} has no clock: say how many frames a second the camera took, {cure}"
+        assert refused(path)[1] == f"{path} has no clock: say how many frames a second the camera took, {cure}"
 
 
 def test_other_folders_than_films_are_named(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    assert "is a folder without pictures" in refused(tmp_path / "empty")[1]
-    write_pictures(tmp_path / "two", noise(2, 4, 4, 8), "%d.png")
-    write_pictures(tmp_path / "two", noise(2, 4, 4, 8), "%d.jpg")
-    assert "several kinds (.jpg, .png): give some of them as a pattern" in refused(tmp_path / "two")[1]
-    assert "there is no picture" in refused(tmp_path / "two" / "img%04d.png")[1]
-    assert "cannot read the folder" in refused(tmp_path / "none" / "img%04d.png")[1]
-    (tmp_path / "float").mkdir()
+    for name in ("empty", "float"):
+        (tmp_path / name).mkdir()
+    for name in ("%d.png", "%d.jpg"):
+        write_pictures(tmp_path / "two", noise(2, 4, 4, 8), name)
     cv2.imwrite(str(tmp_path / "float" / "1.tif"), np.zeros((4, 4), np.float32))
-    assert "pixels of float32 in 1 channels: save gray or RGB of 8 or 16 bits" in refused(tmp_path / "float")[1]
+    for path, says in {
+        "empty": "is a folder without pictures", "two": "several kinds (.jpg, .png): give some of them as a pattern",
+        "two/img%04d.png": "there is no picture", "none/img%04d.png": "cannot read the folder",
+        "float": "pixels of float32 in 1 channels: save gray or RGB of 8 or 16 bits",
+    }.items():  # fmt: skip
+        assert ends(tmp_path / path, [], says, **RATE)
 
 
 def test_a_damaged_picture_comes_after_those_before(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -90,74 +81,57 @@ def test_a_damaged_picture_comes_after_those_before(tmp_path: Path, capfd: pytes
     flipped = whole[:100] + bytes([whole[100] ^ 8]) + whole[101:]
     for data in (b"", b"Dear film", whole[:100], whole[: len(whole) // 2], flipped):
         third.write_bytes(data)
-        got, says = refused(folder)
-        assert len(got) == 2
-        assert starts(got, levels)
-        assert f"{third} is damaged or no picture, after 2 frames" in says
+        assert ends(folder, levels[:2], f"{third} is damaged or no picture, after 2 frames", **RATE)
     assert capfd.readouterr().err == ""
 
 
 def test_pictures_of_another_form_and_a_pipe_end_the_film(tmp_path: Path) -> None:
-    folder = write_pictures(tmp_path / "a", noise(3, 20, 30, 8))
-    second = folder / "img0002.png"
+    levels = noise(3, 20, 30, 8)
+    second = write_pictures(tmp_path / "a", levels) / "img0002.png"
     for other, says in ((noise(1, 10, 30, 8)[0], "30x10 pixels of 8 bits"),
-                        (noise(1, 20, 30, 16)[0], "30x20 pixels of 16 bits"),
-                        (None, "img0002.png is damaged or no picture, after 1 frames")):  # fmt: skip
-        second.unlink()
-        if other is None:
-            os.mkfifo(second)
-        else:
-            cv2.imwrite(str(second), other)
-        got, message = refused(folder)
-        assert len(got) == 1
-        assert says in message
+                        (noise(1, 20, 30, 16)[0], "30x20 pixels of 16 bits")):  # fmt: skip
+        cv2.imwrite(str(second), other)
+        assert ends(tmp_path / "a", levels[:1], says, **RATE)
+    second.unlink()
+    os.mkfifo(second)
+    assert ends(tmp_path / "a", levels[:1], "img0002.png is damaged or no picture, after 1 frames", **RATE)
 
 
 @pytest.mark.parametrize("dtype", ["u1", "<u2", ">u2"])
 def test_an_array(tmp_path: Path, dtype: str) -> None:
-    levels = noise(4, 6, 10, 8 if dtype == "u1" else 16)
+    levels, path = noise(4, 6, 10, 8 if dtype == "u1" else 16), tmp_path / "b.film"
     np.save(tmp_path / "a.npy", levels.astype(dtype))
-    (tmp_path / "a.npy").rename(tmp_path / "b.film")  # the format is identified by its first bytes
-    with open_film(tmp_path / "b.film", rate_hz=250) as film:
-        got = list(film)
-        assert (film.width, film.height, film.bits, film.frame_count) == (10, 6, 8 * levels.itemsize, 4)
-    assert same(got, levels)
-    assert {frame.pixels.dtype.str for frame in got} == {levels.dtype.str}
-    assert [frame.time_s for frame in got] == [0, 0.004, 0.008, 0.012]
+    (tmp_path / "a.npy").rename(path)  # the format is identified by its first bytes
+    assert form(path, rate_hz=250) == (10, 6, 8 * levels.itemsize, 250, 4)
+    assert holds(path, levels, [0, 0.004, 0.008, 0.012], rate_hz=250)
+    assert {frame.pixels.dtype for frame in read(path, **RATE)} == {levels.dtype}
 
 
 def test_a_cut_array_gives_its_whole_frames_first(tmp_path: Path) -> None:
     levels, path = noise(9, 6, 10, 16), tmp_path / "a.npy"
     np.save(path, levels)
     os.truncate(path, 128 + 4 * 120 + 60)
-    with open_film(path, rate_hz=10) as film:
-        assert film.frame_count == 5  # not 9: a conversion must find room on the disk
-    got, says = refused(path)
-    assert len(got) == 4
-    assert starts(got, levels)
-    assert "ends in the middle, after 4 whole frames" in says
+    assert form(path, **RATE)[-1] == 5  # not 9: a conversion must find room on the disk
+    assert ends(path, levels[:4], "ends in the middle, after 4 whole frames", **RATE)
 
 
 @pytest.mark.parametrize(("array", "says"), [
     (np.zeros((4, 6), np.uint8), "holds an array (4, 6) of uint8: a film is (frames, rows, columns)"),
-    (np.zeros((4, 6, 8), np.float64), "of float64: a film is"),
-    (np.zeros((4, 6, 8, 3), np.uint8), "(4, 6, 8, 3) of uint8"),
-    (np.zeros((4, 6, 8), np.int16), "of int16"),
-    (np.zeros((4, 0, 8), np.uint8), "frames of 8x0 pixels"),
-    (np.zeros((0, 6, 8), np.uint8), "holds no frames"),
+    (np.zeros((4, 6, 8), np.float64), "of float64: a film is"), (np.zeros((4, 6, 8), np.int16), "of int16"),
+    (np.zeros((4, 6, 8, 3), np.uint8), "(4, 6, 8, 3) of uint8"), (np.array([{}]), "holds an array (1,) of object"),
+    (np.zeros((4, 0, 8), np.uint8), "frames of 8x0 pixels"), (np.zeros((0, 6, 8), np.uint8), "holds no frames"),
     (np.asfortranarray(np.zeros((4, 6, 8), np.uint8)), "Fortran's order"),
-    (np.array([{}]), "holds an array (1,) of object"),
 ], ids=str)  # fmt: skip
 def test_other_arrays_than_films_are_named(tmp_path: Path, array: Any, says: str) -> None:
     np.save(tmp_path / "a.npy", array)
-    assert says in refused(tmp_path / "a.npy")[1]
+    assert ends(tmp_path / "a.npy", [], says, **RATE)
 
 
 @pytest.mark.parametrize("data", [b"Dear film", b"\x93NUMPY\x01\x00", b"\x93NUMPY\x09\x00" + bytes(99),
                                   b"\x93NUMPY\x01\x00\x10\x00" + b"(" * 16])  # fmt: skip
 def test_other_files_than_arrays_are_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a.npy").write_bytes(data)
-    assert "is no array of NumPy, or damaged" in refused(tmp_path / "a.npy")[1]
+    assert ends(tmp_path / "a.npy", [], "is no array of NumPy, or damaged", **RATE)
 
 
 def headed(path: Path, header: str) -> Path:
@@ -174,7 +148,7 @@ def headed(path: Path, header: str) -> Path:
 def test_arrays_of_invalid_types_or_lengths_are_refused(tmp_path: Path, kind: str, shape: str) -> None:
     """NumPy raises an IndexError, or warns."""
     path = headed(tmp_path / "a.npy", f"{{'descr': {kind}, 'fortran_order': False, 'shape': {shape}, }}")
-    assert "a.npy" in refused(path)[1]
+    assert "a.npy" in refused(path, **RATE)[1]
 
 
 @pytest.mark.parametrize(("shape", "size"), [("(2L, 3L, 4L)", (4, 3)), ("(2, 3, 4)", (4, 3)), ("(2, True, 4)", (4, 1))])
@@ -192,22 +166,18 @@ def test_a_pattern_takes_no_other_names_and_one_name_of_a_number(tmp_path: Path)
     for other in ("img005.png", "img05.jpg", "ximg05.png", "img05.png.bak"):
         (folder / other).write_bytes((folder / "img1.png").read_bytes())
     for pattern, sent in (("img%d.png", levels), ("img%02d.png", levels[::-1])):
-        with open_film(folder / pattern, rate_hz=100) as film:
-            got = list(film)
-        assert [frame.index for frame in got] == [0, 1, 2]
-        assert same(got, sent)
+        assert holds(folder / pattern, sent, indices=range(3), **RATE)
 
 
 def test_a_stack_among_pictures_is_refused(tmp_path: Path) -> None:
     write_tiff(tmp_path / "1.tif", noise(3, 6, 10, 8))
     for path in (tmp_path, tmp_path / "%d.tif"):
-        assert "1.tif has several pages, not one picture: give the file's name" in refused(path)[1]
+        assert ends(path, [], "1.tif has several pages, not one picture: give the file's name", **RATE)
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".tif", ".png"])
 def test_a_picture_of_too_many_pixels_is_refused(tmp_path: Path, suffix: str) -> None:
-    folder = write_pictures(tmp_path / "a", noise(1, 16, 24, 8), f"%d{suffix}")
-    path = folder / f"1{suffix}"
+    path = write_pictures(tmp_path / "a", noise(1, 16, 24, 8), f"%d{suffix}") / f"1{suffix}"
     data = path.read_bytes()
     if suffix == ".jpg":
         data = data.replace(struct.pack(">HH", 16, 24), struct.pack(">HH", 30000, 30000), 1)
@@ -216,11 +186,11 @@ def test_a_picture_of_too_many_pixels_is_refused(tmp_path: Path, suffix: str) ->
         data = data[:12] + head + struct.pack(">I", zlib.crc32(head)) + data[33:]
     else:
         for tag, number in ((256, 24), (257, 16)):
-            wrong = struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", 30000)
-            data = data.replace(struct.pack("<HHI", tag, 3, 1) + struct.pack("<I", number), wrong, 1)
+            entry = struct.pack("<HHI", tag, 3, 1)
+            data = data.replace(entry + struct.pack("<I", number), entry + struct.pack("<I", 30000), 1)
     path.write_bytes(data)
     says = "has frames of 30000x30000 pixels" if suffix == ".tif" else "claims more pixels than any camera has"
-    assert says in refused(folder)[1]
+    assert ends(tmp_path / "a", [], says, **RATE)
 
 
 def jpeg(rng: np.random.Generator, rows: int = 64, columns: int = 96) -> Levels:
@@ -230,13 +200,12 @@ def jpeg(rng: np.random.Generator, rows: int = 64, columns: int = 96) -> Levels:
 def test_a_jpeg_that_lacks_blocks_is_damaged(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """OpenCV fills missing blocks with gray."""
     pictures = [jpeg(np.random.default_rng(seed)) for seed in range(3)]
-    folder = write_pictures(tmp_path / "a", np.stack(pictures), "%d.jpg")
-    second = folder / "2.jpg"
+    second = write_pictures(tmp_path / "a", np.stack(pictures), "%d.jpg") / "2.jpg"
     data = second.read_bytes()
     half = len(data) * 2 // 3
     for damaged in (data[:half], data[:half] + bytes(len(data) - half), data[:half] + b"\xff\xd9"):
         second.write_bytes(damaged)
-        got, says = refused(folder)
+        got, says = refused(tmp_path / "a", **RATE)
         assert len(got) == 1
         assert says == f"{second} is damaged or no picture, after 1 frames: copy it again, or remove it"
     assert capfd.readouterr().err == ""
@@ -265,63 +234,53 @@ def test_whole_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], c
 ])  # fmt: skip
 def test_a_single_picture_is_one_frame(tmp_path: Path, name: str, kind: str) -> None:
     """FFmpeg would take a name that resembles a pattern for a sequence."""
-    Image.fromarray(np.full((16, 24), 77, np.uint8)).save(tmp_path / "made", kind, lossless=True)
-    (tmp_path / "made").rename(tmp_path / name)
-    with open_film(tmp_path / name, rate_hz=100) as film:
-        (frame,) = film
-        assert (film.width, film.height, film.frame_count) == (24, 16, 1)
-    assert np.unique(frame.pixels).tolist() == [77]
-    assert "has no clock" in refused(tmp_path / name, rate_hz=None)[1]
+    levels, path = np.full((1, 16, 24), 77, np.uint8), tmp_path / name
+    Image.fromarray(levels[0]).save(tmp_path / "made", kind, lossless=True)
+    (tmp_path / "made").rename(path)
+    assert form(path, **RATE) == (24, 16, 8, 1000, 1)
+    assert holds(path, levels, **RATE)
+    assert "has no clock" in refused(path)[1]
 
 
 @pytest.mark.parametrize("suffix", [".bmp", ".BMP", ".dib", ".pgm", ".pnm", ".pam", ".jpeg", ".webp"])
 def test_pictures_of_all_kinds_in_a_folder(tmp_path: Path, suffix: str) -> None:
     levels = np.full((3, 16, 24), 77, np.uint8) if suffix in (".jpeg", ".webp") else noise(3, 16, 24, 8)
-    folder = tmp_path / "a"
-    folder.mkdir()
     kind = {".dib": ".bmp", ".pnm": ".pgm"}.get(suffix, suffix.lower())
     for number, picture in enumerate(levels):
-        (folder / f"shot {number}{suffix}").write_bytes(cv2.imencode(kind, picture)[1].tobytes())
+        (tmp_path / f"shot {number}{suffix}").write_bytes(cv2.imencode(kind, picture)[1].tobytes())
     for other in ("Thumbs.db", "desktop.ini", "._shot 0.png", ".DS_Store"):
-        (folder / other).write_bytes(b"of the system")
-    for path in (folder, folder / f"shot %d{suffix}"):
-        assert same(read(path, rate_hz=100), levels)
-
-
-def test_suffixes_of_one_kind_belong_together(tmp_path: Path) -> None:
-    folder = write_pictures(tmp_path / "a", np.full((4, 16, 24), 77, np.uint8), "%d.jpg")
-    (folder / "2.jpg").rename(folder / "2.JPEG")
-    (folder / "3.jpg").rename(folder / "3.jpe")
-    assert len(read(folder, rate_hz=100)) == 4
+        (tmp_path / other).write_bytes(b"of the system")
+    for path in (tmp_path, tmp_path / f"shot %d{suffix}"):
+        assert holds(path, levels, **RATE)
+    if suffix == ".jpeg":  # suffixes of one kind belong together
+        (tmp_path / "shot 0.jpeg").rename(tmp_path / "shot 0.JPG")
+        (tmp_path / "shot 1.jpeg").rename(tmp_path / "shot 1.jpe")
+        assert holds(tmp_path, levels, **RATE)
 
 
 @pytest.mark.parametrize("digit", ["\u2460", "\u00b2", "\u0968", "\U0001d7d8"])
 def test_digits_of_other_scripts_in_names(tmp_path: Path, digit: str) -> None:
     """`str.isdigit` accepts some digits that `int` rejects."""
     levels = noise(12, 6, 10, 8)
-    for name in (f"{digit}%d.png", f"a{digit}b%d.png", f"%d{digit}.png"):
-        folder = write_pictures(tmp_path / name[0:2], levels, name, first=0)
-        assert same(read(folder, rate_hz=100), levels)
-        assert same(read(folder / name, rate_hz=100), levels)
-        for path in folder.iterdir():
-            path.unlink()
+    for number, name in enumerate((f"{digit}%d.png", f"a{digit}b%d.png", f"%d{digit}.png")):
+        folder = write_pictures(tmp_path / str(number), levels, name, first=0)
+        assert holds(folder, levels, **RATE)
+        assert holds(folder / name, levels, **RATE)
 
 
 def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "a", noise(3, 6, 10, 8), "img%d.png")
     for number in (1, 2, 3):
         os.rename(folder / f"img{number}.png", os.fsencode(folder) + b"/\xff%d.png" % number)
-    assert same(read(folder, rate_hz=100), noise(3, 6, 10, 8))
+    assert holds(folder, noise(3, 6, 10, 8), **RATE)
 
 
 @pytest.mark.parametrize("suffix", [".bmp", ".pgm", ".webp", ".png", ".jpg", ".tif"])
 def test_a_cut_picture_of_any_kind_is_one_line(tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "a"
-    folder.mkdir()
     data = cv2.imencode(suffix, noise(1, 20, 30, 8)[0])[1].tobytes()
-    (folder / f"1{suffix}").write_bytes(data)
-    (folder / f"2{suffix}").write_bytes(data[: len(data) // 2])
-    got, says = refused(folder)
+    (tmp_path / f"1{suffix}").write_bytes(data)
+    (tmp_path / f"2{suffix}").write_bytes(data[: len(data) // 2])
+    got, says = refused(tmp_path, **RATE)
     assert len(got) == 1
     assert f"2{suffix}" in says
     if hasattr(cv2.utils, "logging"):  # older OpenCV prints read errors at any log level
@@ -331,16 +290,13 @@ def test_a_cut_picture_of_any_kind_is_one_line(tmp_path: Path, suffix: str, capf
 @pytest.mark.parametrize("largest", [1023, 4095, 65535])
 def test_the_largest_level_of_a_pgm_states_its_bits(tmp_path: Path, largest: int) -> None:
     levels = noise(2, 6, 10, largest.bit_length())
-    (tmp_path / "a").mkdir()
     for number, picture in enumerate(levels):
         head = b"P5\n# of a camera\n10 6\n%d\n" % largest
-        (tmp_path / "a" / f"{number}.pgm").write_bytes(head + picture.astype(">u2").tobytes())
-    with open_film(tmp_path / "a", rate_hz=100) as film:
-        assert film.bits == largest.bit_length()
-        assert same(list(film), levels)
-    wrong = b"P5 10 6 255\n" + bytes(60) + b"P5 10 6 255\n" + bytes(60)
-    (tmp_path / "a" / "1.pgm").write_bytes(wrong)
-    assert "1.pgm holds several pictures, not one" in refused(tmp_path / "a")[1]
+        (tmp_path / f"{number}.pgm").write_bytes(head + picture.astype(">u2").tobytes())
+    assert form(tmp_path, **RATE)[2] == largest.bit_length()
+    assert holds(tmp_path, levels, **RATE)
+    (tmp_path / "1.pgm").write_bytes(2 * (b"P5 10 6 255\n" + bytes(60)))
+    assert "1.pgm holds several pictures, not one" in refused(tmp_path, **RATE)[1]
 
 
 def animated(path: Path, levels: Levels, durations_ms: list[int], mode: str = "L") -> Path:
@@ -354,22 +310,17 @@ def animated(path: Path, levels: Levels, durations_ms: list[int], mode: str = "L
 ])  # fmt: skip
 def test_animated_pictures_have_all_frames_at_their_times(tmp_path: Path, name: str, mode: str) -> None:
     levels = np.repeat(np.arange(0, 240, 40, dtype=np.uint8), 16 * 24).reshape(6, 16, 24)
-    with open_film(animated(tmp_path / name, levels, [20, 20, 40, 20, 20, 20], mode)) as film:
-        got = list(film)
-        assert (film.frame_count, film.bits, film.rate_hz) == (6, 8, 50)
-    assert same(got, levels)
-    assert [frame.time_s for frame in got] == pytest.approx([0, 0.02, 0.04, 0.08, 0.1, 0.12])
-    assert [frame.index for frame in got] == [0, 1, 2, 4, 5, 6]
+    path = animated(tmp_path / name, levels, [20, 20, 40, 20, 20, 20], mode)
+    assert form(path) == (24, 16, 8, 50, 6)
+    assert holds(path, levels, [0, 0.02, 0.04, 0.08, 0.1, 0.12], [0, 1, 2, 4, 5, 6])
 
 
 @pytest.mark.parametrize("name", ["a.gif", "a.png", "a.webp"])
-def test_animations_with_a_given_rate_among_pictures_and_cut(
-    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_animations_at_a_rate_among_pictures_cut(tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
     path = animated(tmp_path / name, noise(6, 16, 24, 8), [10] * 6, "RGB")
     assert [frame.time_s for frame in read(path, rate_hz=1000)] == pytest.approx(np.arange(6) / 1000)
     if name != "a.gif":
-        assert f"{name} holds 6 pictures, not one: give the file's name" in refused(tmp_path)[1]
+        assert f"{name} holds 6 pictures, not one: give the file's name" in refused(tmp_path, **RATE)[1]
     os.truncate(path, path.stat().st_size * 2 // 3)
     assert name in refused(path)[1]
     assert capfd.readouterr().err == ""

@@ -16,22 +16,15 @@ FILM = ("libx264", 64, 20, 0)
 SMALL = ("libx264", 32, 20, 0)
 
 
-@pytest.mark.parametrize(
-    ("name", "tracks"),
-    [
-        ("cover_first.mp4", [("mjpeg", 96, 1, COVER), FILM]),
-        ("cover_last.mp4", [FILM, ("mjpeg", 96, 1, COVER)]),
-        ("large_cover.mkv", [("mjpeg", 640, 1, 0), ("ffv1", 64, 20, 0)]),
-        ("picture_track.mp4", [("mjpeg", 640, 1, 0), FILM]),
-        ("preview_first.mp4", [SMALL, FILM]),
-        ("preview_first.mkv", [SMALL, FILM]),
-        ("preview_last.ts", [FILM, SMALL]),
-        ("preview_first.avi", [("mjpeg", 32, 20, 0), ("mjpeg", 64, 20, 0)]),
-        ("preview_first.nut", [("ffv1", 32, 20, 0), ("ffv1", 64, 20, 0)]),
-        ("sound_first.mov", [("sound", 0, 20, 0), SMALL, FILM]),
-        ("long_preview.mp4", [("libx264", 32, 60, 0), FILM]),
-    ],
-)
+@pytest.mark.parametrize(("name", "tracks"), [
+    ("cover_first.mp4", [("mjpeg", 96, 1, COVER), FILM]), ("cover_last.mp4", [FILM, ("mjpeg", 96, 1, COVER)]),
+    ("large_cover.mkv", [("mjpeg", 640, 1, 0), ("ffv1", 64, 20, 0)]),
+    ("picture_track.mp4", [("mjpeg", 640, 1, 0), FILM]), ("preview_first.mp4", [SMALL, FILM]),
+    ("preview_first.mkv", [SMALL, FILM]), ("preview_last.ts", [FILM, SMALL]),
+    ("preview_first.avi", [("mjpeg", 32, 20, 0), ("mjpeg", 64, 20, 0)]),
+    ("preview_first.nut", [("ffv1", 32, 20, 0), ("ffv1", 64, 20, 0)]),
+    ("sound_first.mov", [("sound", 0, 20, 0), SMALL, FILM]), ("long_preview.mp4", [("libx264", 32, 60, 0), FILM]),
+])  # fmt: skip
 def test_the_largest_track_is_read(tmp_path: Path, name: str, tracks: list[tuple[str, int, int, int]]) -> None:
     with open_film(write_tracks(tmp_path / name, *tracks)) as film:
         frames = list(film)
@@ -57,9 +50,7 @@ def test_a_picture_attached_to_matroska_is_no_film(tmp_path: Path) -> None:
         assert [int(frame.pixels[0, 0]) for frame in film] == [0, 1, 2, 3, 4]
 
 
-def test_several_films_in_a_file_are_reported_and_cover_pictures_are_not(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_several_films_in_a_file_are_reported_but_no_covers(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with open_film(write_tracks(tmp_path / "a.mp4", ("mjpeg", 96, 1, COVER), FILM)):
         assert not caplog.messages
     path = write_tracks(tmp_path / "b.mp4", SMALL, FILM)

@@ -1,6 +1,7 @@
 """Diagnose films with a single fault each from frames only."""
 
 from functools import cache
+from typing import Any
 
 import pytest
 from faulty_films import CAMERA, FAULTY, KeptFilm, kept, link, mirrored
@@ -60,9 +61,7 @@ def test_film_with_a_fault_has_its_cause_and_remedies(name: str) -> None:
 
 def test_film_without_blinking_light_is_still() -> None:
     found = probed(FAULTY["nothing blinks"]())
-    assert not found.read
-    assert not found.regions
-    assert found.causes[0].kind == "still"
+    assert (found.read, found.regions, found.causes[0].kind) == (False, (), "still")
     assert "switched on" in found.advice[0]
 
 
@@ -76,23 +75,20 @@ def test_camera_slower_than_the_light_is_a_cause_of_the_film() -> None:
 def test_decodable_film_is_measured() -> None:
     found = probed(kept(link(camera={**CAMERA, "dropped": 0.05}), mirrored))
     (array,) = found.arrays
+    clock: Any = array.clock
+    rate: Any = found.rate
     assert found.read
-    assert array.packet.identity == 0
-    assert str(array.packet.orientation) == "mirrored"
+    assert (array.packet.identity, str(array.packet.orientation)) == (0, "mirrored")
     assert array.tally.last_distance_m == pytest.approx(50, abs=0.2)
     assert array.packet.pose.pitch == pytest.approx(1.1667, rel=2e-3)
     assert array.packet.pose.blur == pytest.approx(0.51, abs=0.03)
     assert array.contrast == pytest.approx(0.8, abs=0.01)
     assert [layer.failed for layer in array.tally.layers.values()] == [0, 0, 0]
-    assert array.clock is not None
-    assert array.clock.phase_patterns == pytest.approx(0, abs=0.03)
+    assert clock.phase_patterns == pytest.approx(0, abs=0.03)
     assert array.exposure is None  # synchronous frames all show the same part of a pattern
-    assert found.regions[0].array == array
-    assert found.rate is not None
-    assert found.rate.frames == pytest.approx(1, abs=3e-3)
+    assert (found.regions[0].array, rate.frames) == (array, pytest.approx(1, abs=3e-3))
     (lost,) = found.causes
-    assert lost.kind == "lost frames"
-    assert found.times.lost == 8
+    assert (lost.kind, found.times.lost) == ("lost frames", 8)
     assert "8 of 130 frames" in lost.why
 
 
@@ -124,15 +120,11 @@ def test_array_outside_the_given_place_is_found_elsewhere(place: dict[str, Place
 def test_undecoded_region_is_described_as_an_array() -> None:
     """Pixels, blur, clock and predicted range of each layer."""
     (region,) = faulty("out of step").regions
-    array = region.would_be
-    assert array is not None
-    assert array.pose.pitch == pytest.approx(1.1667, rel=0.01)
-    assert array.pose.blur == pytest.approx(0.51, abs=0.05)
-    assert array.clock is not None
+    array: Any = region.would_be
+    assert (array.pose.pitch, array.pose.blur) == (pytest.approx(1.1667, rel=0.01), pytest.approx(0.51, abs=0.05))
     assert abs(array.clock.phase_patterns) == pytest.approx(0.5, abs=0.03)
-    assert {receiver: distances_m["high"] > 80 for receiver, distances_m in array.reach.items()} == {
-        "plain": True, "soft": True
-    }  # fmt: skip
+    reached = {receiver: distances_m["high"] > 80 for receiver, distances_m in array.reach.items()}
+    assert reached == {"plain": True, "soft": True}
     (line, clock, *_) = would_be_lines(region)
     assert "1.16 px from LED to LED" in line
     assert "0.50 of a pattern" in clock

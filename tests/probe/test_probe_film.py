@@ -93,17 +93,15 @@ def test_ctrl_c_during_the_analysis_keeps_the_rest(right: KeptFilm, monkeypatch:
 
 
 def test_film_without_frames_is_an_error(right: KeptFilm) -> None:
-    with pytest.raises(MediaError, match="ends in the middle"):
-        probed(Broken(right.frames))
-    with pytest.raises(MediaError, match="holds no frames"):
-        probed(KeptFilm([]))
+    for source, says in ((Broken(right.frames), "ends in the middle"), (KeptFilm([]), "holds no frames")):
+        with pytest.raises(MediaError, match=says):
+            probed(source)
 
 
 def test_memory_does_not_grow_with_the_film() -> None:
     source = Repeated(film(link(duration_s=0.2, camera={"width": 48, "height": 48})), length=1000)
     findings = probed(source)
-    assert findings.arrays[0].tally.packets == 10
-    assert findings.times.count == 1000
+    assert (findings.arrays[0].tally.packets, findings.times.count) == (10, 1000)
     # two stretches, and the receiver's frames of a packet
     assert max(source.alive) < 2 * MOST_FRAMES + 150
 
@@ -113,36 +111,27 @@ def test_number_of_stored_packets_is_bounded(found: Findings) -> None:
     limit = watch.places.maxlen or 0
     for number in range(limit + 100):
         watch.add(replace(packet, first_frame=100 * number, last_frame=100 * number + 99))
-    assert watch.reports(255)[packet.identity].tally.packets == limit + 100
-    assert len(watch.places) == limit
-
-
-def test_number_of_frames_is_limited(right: KeptFilm) -> None:
-    assert probed(right, most=40, trials=False).times.count == 40
+    assert (watch.reports(255)[packet.identity].tally.packets, len(watch.places)) == (limit + 100, limit)
 
 
 def test_array_is_found_by_its_region_without_a_receiver(right: KeptFilm, tmp_path: Path) -> None:
     findings = probed(right, reading=False)
-    assert not findings.read
-    assert findings.regions[0].remedy is not None
-    assert findings.regions[0].causes[0].proven
+    (region, *_) = findings.regions
+    assert (findings.read, region.causes[0].proven) == (False, True)
+    assert region.remedy is not None
     write_page(tmp_path / "probe.html", findings)
     page = (tmp_path / "probe.html").read_text()
     for text in ("No array was read", "Region 1: search", "What to change", "--crop "):
         assert text in page
     assert any("--crop " in line for line in in_short(findings))
+    assert probed(right, most=40, trials=False).times.count == 40
 
 
-@pytest.mark.parametrize(
-    ("pixels", "kinds"),
-    [
-        ([np.full((16, 16), 9, np.uint8)], {"short", "dark"}),
-        ([np.zeros((16, 16), np.uint8)] * 150, {"still", "dark"}),
-        ([np.full((16, 16), 255, np.uint8)] * 150, {"still", "overexposed"}),
-        ([*np.random.default_rng(1).integers(60, 64, (150, 3, 5)).astype(np.uint8)], {"still"}),
-    ],
-    ids=["one frame", "black", "white", "tiny"],
-)
+@pytest.mark.parametrize(("pixels", "kinds"), [
+    ([np.full((16, 16), 9, np.uint8)], {"short", "dark"}), ([np.zeros((16, 16), np.uint8)] * 150, {"still", "dark"}),
+    ([np.full((16, 16), 255, np.uint8)] * 150, {"still", "overexposed"}),
+    ([*np.random.default_rng(1).integers(60, 64, (150, 3, 5)).astype(np.uint8)], {"still"}),
+], ids=["one frame", "black", "white", "tiny"])  # fmt: skip
 def test_films_without_light_have_causes(pixels: list[Any], kinds: set[str]) -> None:
     findings = probed(KeptFilm([Frame(k, k / 1000, picture) for k, picture in enumerate(pixels)]))
     assert not findings.read
@@ -152,10 +141,9 @@ def test_films_without_light_have_causes(pixels: list[Any], kinds: set[str]) -> 
 
 def test_findings_are_plain_values(found: Findings) -> None:
     row = json.loads(json.dumps(as_mapping(found)))
-    assert row["array_read"]
-    assert row["light"]["camera_hz"] == pytest.approx(1000, rel=5e-3)
-    assert row["arrays"][0]["codewords"]["high"] == {"ok": 1, "failed": 0}
-    assert row["arrays"][0]["orientation"] == "upright"
+    (array,) = row["arrays"]
+    assert (row["array_read"], row["light"]["camera_hz"]) == (True, pytest.approx(1000, rel=5e-3))
+    assert (array["codewords"]["high"], array["orientation"]) == ({"ok": 1, "failed": 0}, "upright")
     assert row["regions"][0]["causes"][0]["kind"] == "array"
 
 

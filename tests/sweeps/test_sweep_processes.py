@@ -27,44 +27,32 @@ from heliograph.sweeps.store import NAME
 from heliograph.sweeps.sweep import count
 from heliograph.sweeps.tally import PointTally, StopRule
 
-OWN = '''
+OWN = """
 from dataclasses import dataclass, replace
-
 import heliograph
 from heliograph.signal.code import CODES
 
-
 @dataclass(frozen=True)
 class Renaming:
-    """Settings."""
-
     identity: int = 7
 
-
 class Renamed:
-    """The plain receiver; its packets get another identity."""
-
+    # the plain receiver; its packets get another identity
     def __init__(self, signal, settings, observe):
         self._plain = heliograph.make_receiver(signal, replace(settings, receiver="plain", custom={}), observe)
         self._identity = heliograph.own_settings(settings).identity
-
     @property
     def detections(self):
         return self._plain.detections
-
     def push(self, frame):
-        for packet in self._plain.push(frame):
-            yield replace(packet, identity=self._identity)
-
+        return (replace(packet, identity=self._identity) for packet in self._plain.push(frame))
     def finish(self):
-        for packet in self._plain.finish():
-            yield replace(packet, identity=self._identity)
-
+        return (replace(packet, identity=self._identity) for packet in self._plain.finish())
 
 heliograph.register_receiver("renamed", Renamed, Renaming)
 heliograph.register_motion("still", lambda drive: None)
 heliograph.register_code("turbo-again", CODES["turbo"])
-'''
+"""
 VARY = {"receiver": ["plain", "renamed"], "signal.code": ["turbo", "turbo-again"]}
 SMALL = ["signal.data_pairs=8", "channel.shake=still", "channel.distance_m=20", "channel.duration_s=0.05"]
 
@@ -123,11 +111,11 @@ def stored(folder: Path) -> list[int]:
 @pytest.mark.slow
 def test_custom_receiver_code_and_motion_run_in_this_process(reference: list[dict[str, Any]]) -> None:
     high = [point["layers"]["high"] for point in reference]
-    plain, plain_again, renamed, renamed_again = ((layer["codewords"], layer["codeword_errors"]) for layer in high)
-    assert plain == plain_again
-    assert plain[0] >= 4
-    assert plain[1] == 0
-    assert renamed == renamed_again == (plain[0], plain[0])  # no packet from array 0 arrives
+    codewords = high[0]["codewords"]
+    assert codewords >= 4
+    # no packet from array 0 arrives where the receiver renames it
+    errors = [(layer["codewords"], layer["codeword_errors"]) for layer in high]
+    assert errors == [(codewords, 0)] * 2 + [(codewords, codewords)] * 2
 
 
 @contextmanager
@@ -145,9 +133,7 @@ def dask_worker(address: str, folder: Path) -> "Iterator[subprocess.Popen[bytes]
 
 
 @pytest.mark.slow
-def test_cluster_survives_a_killed_worker_and_has_the_custom_components(
-    reference: list[dict[str, Any]], tmp_path: Path
-) -> None:
+def test_cluster_survives_a_killed_worker_and_has_custom_parts(reference: list[dict[str, Any]], tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=":0") as cluster:
         address = cluster.scheduler_address
@@ -159,9 +145,7 @@ def test_cluster_survives_a_killed_worker_and_has_the_custom_components(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not HAS_PROC, reason="needs /proc to find worker processes")
-def test_a_killed_worker_is_replaced_ctrl_c_shows_the_results_so_far_and_the_sweep_resumes(
-    parts_file: Path, tmp_path: Path
-) -> None:
+def test_a_killed_worker_is_replaced_ctrl_c_shows_results_and_sweeps_resume(parts_file: Path, tmp_path: Path) -> None:
     changes = [word for change in SMALL for word in ("--set", change)]
     # long enough to be interrupted
     options = ["--vary", "channel.distance_m=60:70:10", "--max-codewords", "20000", "--workers", "2", "--json"]
@@ -181,8 +165,7 @@ def test_a_killed_worker_is_replaced_ctrl_c_shows_the_results_so_far_and_the_swe
     workers = worker_processes(process.pid)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=HANG_S)
-    assert process.returncode == 130
-    assert len(err.splitlines()) == 1
+    assert (process.returncode, len(err.splitlines())) == (130, 1)
     assert "interrupted" in err
     points = json.loads(out)
     assert sum(point["blocks"] for point in points) >= 1
@@ -211,20 +194,15 @@ def test_a_killed_worker_is_replaced_ctrl_c_shows_the_results_so_far_and_the_swe
 @pytest.mark.slow
 def test_workers_return_results_in_order_and_have_a_thread_each() -> None:
     shares: list[float] = []
-    assert each(2, os.getenv, [*THREAD_LIMITS, "HELIOGRAPH_UNSET"], shares.append) == ["1"] * len(THREAD_LIMITS) + [
-        None
-    ]
-    assert shares[-1] == 1
-    assert shares == sorted(shares)
+    limits = each(2, os.getenv, [*THREAD_LIMITS, "HELIOGRAPH_UNSET"], shares.append)
+    assert (limits, shares[-1], shares) == (["1"] * len(THREAD_LIMITS) + [None], 1, sorted(shares))
 
 
 def test_single_worker_is_this_process() -> None:
     seen: list[tuple[str, float]] = []
     context = Context(progress=lambda title, share: seen.append((title, share)))
-    assert context.each("half", abs, [-1, 1], (0.5, 1.0)) == [1, 1]
-    assert seen == [("half", 0.75), ("half", 1.0)]
-    assert each(2, abs, []) == []
-    assert each(2, lambda _: os.getpid(), [0]) == [os.getpid()]
+    assert (context.each("half", abs, [-1, 1], (0.5, 1.0)), seen) == ([1, 1], [("half", 0.75), ("half", 1.0)])
+    assert (each(2, abs, []), each(2, lambda _: os.getpid(), [0])) == ([], [os.getpid()])
 
 
 def test_error_of_a_job_reaches_the_caller() -> None:

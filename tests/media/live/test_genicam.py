@@ -1,6 +1,7 @@
 """GenICam cameras through harvesters, with the test producer from the genicam package."""
 
 import itertools
+import re
 from pathlib import Path
 from typing import Any
 
@@ -73,41 +74,29 @@ def test_colours_become_gray(producer: str) -> None:
 def test_settings_are_read_back(producer: str) -> None:
     with opened(producer, **MONO, BouncingBallSize="7") as film:
         settings = film.form.settings
-    assert settings["pixel_format"] == "Mono8"
-    assert settings["region"] == "0,0,128,112"
-    assert settings["BouncingBallSize"] == "7"
-    assert film.form.departures == ()
-    assert film.metadata["camera_rate_hz"] == "100"
+    assert (settings["pixel_format"], settings["region"], settings["BouncingBallSize"]) == ("Mono8", "0,0,128,112", "7")
+    assert (film.form.departures, film.metadata["camera_rate_hz"]) == ((), "100")
 
 
 @pytest.mark.parametrize(("asked", "says"), [
-    ({"rate_hz": 5000}, "the camera does not take rate_hz=5000: "),
-    ({"rate_hz": 5000}, "(1 to 200 in steps of 1)"),
-    ({"region": "0,0,50,128"}, "(100 to 800 in steps of 1)"),
-    ({"region": "8,0,128,128"}, "it has no feature OffsetX"),
+    ({"rate_hz": 5000}, "the camera does not take rate_hz=5000: "), ({"rate_hz": 5000}, "(1 to 200 in steps of 1)"),
+    ({"region": "0,0,50,128"}, "(100 to 800 in steps of 1)"), ({"region": "8,0,128,128"}, "it has no feature OffsetX"),
     ({"pixel_format": "Mono12"}, "; it knows RGBa8, Mono8"),
     ({"gain": 3}, "the camera does not take gain=3: it has no feature Gain"),
-    ({"exposure_us": 3}, "it has no feature ExposureTime"),
-    ({"trigger": "Line1"}, "it has no feature TriggerSource"),
+    ({"exposure_us": 3}, "it has no feature ExposureTime"), ({"trigger": "Line1"}, "it has no feature TriggerSource"),
     ({"Nonsense": 3}, "the camera does not take Nonsense=3: it has no feature Nonsense"),
 ])  # fmt: skip
 def test_refused_settings_are_named(producer: str, asked: dict[str, Any], says: str) -> None:
-    with pytest.raises(HeliographError) as caught:
+    with pytest.raises(HeliographError, match=re.escape(says)):
         opened(producer, **asked)
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
-def test_a_missing_camera_is_named(producer: str) -> None:
+def test_a_missing_camera_and_a_damaged_producer_are_named(producer: str, tmp_path: Path) -> None:
+    (tmp_path / "broken.cti").write_bytes(b"no library")
     with pytest.raises(MediaError, match="no producer has a camera 'nobody'"):
         opened(producer, ":nobody")
-
-
-def test_a_damaged_producer_is_named(producer: str, tmp_path: Path) -> None:
-    file = tmp_path / "broken.cti"
-    file.write_bytes(b"no library")
     with pytest.raises(MediaError, match=r"the producer .*broken.cti cannot be loaded"):
-        opened(str(file))
+        opened(str(tmp_path / "broken.cti"))
 
 
 def test_producers_are_found_in_the_folders_of_the_standard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Webcams through PyAV, replaced by FFmpeg's synthetic "lavfi" device."""
 
+import re
 import time
 from fractions import Fraction
 from pathlib import Path
@@ -56,9 +57,8 @@ def test_a_webcam_has_form_levels_and_stamps() -> None:
 
 def test_lost_pictures_show_in_the_stamps() -> None:
     with drawn(50, ",select='not(between(n\\,20\\,22))',trim=end_frame=40") as film:
-        indices = [frame.index for frame in film]
+        assert [frame.index for frame in film] == [*range(20), *range(23, 43)]
         counts = counts_of(film)
-    assert indices == [*range(20), *range(23, 43)]
     assert (counts.lost, counts.skipped) == (0, 3)
 
 
@@ -81,10 +81,8 @@ def test_a_webcam_waits_no_longer_than_requested() -> None:
     ({}, "/dev/video7 cannot be opened as a webcam (No such file or directory)"),
 ])  # fmt: skip
 def test_refused_settings_are_named(asked: dict[str, Any], says: str) -> None:
-    with pytest.raises(HeliographError) as caught:
+    with pytest.raises(HeliographError, match=re.escape(says)):
         open_film("camera:webcam:/dev/video7", camera=asked)
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_settings_become_options_of_ffmpeg() -> None:
@@ -97,13 +95,11 @@ def test_devices_are_listed_with_their_names(tmp_path: Path) -> None:
     with pytest.raises(MediaError, match="Linux knows of none"):
         webcam.find(CameraSettings(), tmp_path)
     for number, index, name in ((10, 0, "Second"), (2, 0, "First"), (3, 1, "First, without pictures")):
-        folder = tmp_path / f"video{number}"
-        folder.mkdir()
-        (folder / "name").write_text(f"{name}\n")
-        (folder / "index").write_text(f"{index}\n")
-    assert [(one.address, one.text) for one in webcam.find(CameraSettings(), tmp_path)] == [
-        ("/dev/video2", "First"), ("/dev/video10", "Second")
-    ]  # fmt: skip
+        (tmp_path / f"video{number}").mkdir()
+        (tmp_path / f"video{number}/name").write_text(f"{name}\n")
+        (tmp_path / f"video{number}/index").write_text(f"{index}\n")
+    found = [(one.address, one.text) for one in webcam.find(CameraSettings(), tmp_path)]
+    assert found == [("/dev/video2", "First"), ("/dev/video10", "Second")]
 
 
 def test_a_stamp_is_the_drivers() -> None:
