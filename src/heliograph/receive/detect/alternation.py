@@ -172,9 +172,20 @@ def busy_blocks(
         free[top:end_row, left:end_column] = -1
     if everywhere:
         return free >= 0
-    busy = np.zeros(means.shape, bool)
-    kernels.busy_blocks(free, DETECT.busy_contrast * min_contrast * frame.full_scale, DETECT.busy_ratio, busy)
-    return busy
+    # mostly no block is busy, and no median is needed
+    peak, least, ratio = free.max(), DETECT.busy_contrast * min_contrast * frame.full_scale, DETECT.busy_ratio
+    if peak <= least:
+        return np.zeros(means.shape, bool)
+    # a large array lights all of the frame through the windscreen: the blocks within it do not count
+    count = np.count_nonzero(free < 0) if tracked else 0
+    middle = count + (free.size - count) // 2
+    # counts, which are faster than the median: no block above `ratio` times the median, or only the least matters
+    if np.count_nonzero(free < peak / ratio) <= middle:
+        return np.zeros(means.shape, bool)
+    is_quiet = np.count_nonzero(free < least / ratio) > middle
+    median = 0.0 if is_quiet else float(np.partition(free, middle, axis=None)[middle])
+    busy = free > max(least, ratio * median)
+    return np.asarray(cv2.dilate(busy.view(np.uint8), np.ones((3, 3), np.uint8)), dtype=bool)
 
 
 @lru_cache(maxsize=64)  # several detectors search a frame

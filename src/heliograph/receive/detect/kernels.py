@@ -66,29 +66,6 @@ def integer_means(f0, f1, f2, f3, outer, inner, scale, out):
 
 
 @compiled()
-def busy_blocks(means, least, ratio, busy):
-    """Mark blocks above `least` and above `ratio` times the median of those not negative, and the blocks around."""
-    peak, negative = np.float32(-1), 0
-    for mean in means.flat:
-        peak, negative = max(peak, mean), negative + (mean < 0)
-    # mostly no block is busy, and no median is needed
-    if peak <= least:
-        return
-    # a large array lights all of the frame through the windscreen: the blocks within it do not count
-    middle, low, quiet = negative + (means.size - negative) // 2, 0, 0
-    for mean in means.flat:
-        low, quiet = low + (mean < peak / ratio), quiet + (mean < least / ratio)
-    # counts, which are faster than the median: no block above `ratio` times the median, or only the least matters
-    if low <= middle:
-        return
-    limit = least if quiet > middle else max(least, ratio * np.partition(means.ravel(), middle)[middle])
-    for i in range(means.shape[0]):
-        for j in range(means.shape[1]):
-            if means[i, j] > limit:
-                busy[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2] = True
-
-
-@compiled()
 def _corner(integral, y, x):
     """Interpolate an integral image."""
     i, j = int(y), int(x)

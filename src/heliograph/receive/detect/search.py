@@ -49,7 +49,8 @@ class HeaderSearch:
     @property
     def load(self) -> SearchLoad:
         """Work of all streams, with the skipped candidates and blocks."""
-        return sum((search.budget.load for _, search in self._streams), SearchLoad())
+        first, *others = (search.budget.load for _, search in self._streams)
+        return sum(others, first)
 
     def start(self, period_s: float) -> None:
         """Prepare for frames of a period, before the first frame: the light's period or less."""
