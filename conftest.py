@@ -1,6 +1,7 @@
-"""Every code block of the documentation runs: Python in one namespace a page, commands in the page's own folder."""
+"""Code blocks of the documentation as tests, the order of all tests, and registered parts of a single file."""
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,10 +15,30 @@ from sybil import Example, Sybil
 from sybil.parsers import myst, rest
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Start with the files that have the most slow tests and examples: at the end no process waits for long."""
+    slow = Counter(item.path for item in items if item.path.suffix != ".py" or item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
+
+
 def _run(example: Example) -> None:
     from cli_runs import run_script
 
     run_script(example.parsed)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_parts() -> Iterator[None]:
+    """Begin each file without registered parts: worker processes import all of them, and one in this process stays."""
+    from heliograph.base import registry
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "_files", {})
+        patch.setattr(registry, "_failures", None)
+        for parts in registry._registries.values():
+            patch.setattr(parts, "_registered", {})
+            patch.setattr(parts, "origins", {})
+        yield
 
 
 @pytest.fixture(scope="module")
