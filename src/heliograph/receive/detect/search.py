@@ -49,8 +49,7 @@ class HeaderSearch:
     @property
     def load(self) -> SearchLoad:
         """Work of all streams, with the skipped candidates and blocks."""
-        first, *others = (search.budget.load for _, search in self._streams)
-        return sum(others, first)
+        return sum((search.budget.load for _, search in self._streams), SearchLoad())
 
     def start(self, period_s: float) -> None:
         """Prepare for frames of a period, before the first frame: the light's period or less."""
