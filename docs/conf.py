@@ -15,6 +15,7 @@ from typer.main import get_command
 
 from heliograph import __version__
 from heliograph.cli import main
+from heliograph.web.replay import recorded_page
 
 HERE = Path(__file__).parent
 
@@ -27,7 +28,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build", "jupyter_execute", "vectors", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_extra", "jupyter_execute", "vectors", "**.ipynb_checkpoints"]
 html_theme = "furo"
 html_title = "Heliograph"
 html_show_copyright = False
@@ -55,6 +56,9 @@ def _write_cli_reference() -> None:
 
 
 _write_cli_reference()
+(HERE / "_extra").mkdir(exist_ok=True)
+(HERE / "_extra" / "replay.html").write_text(recorded_page(), encoding="utf-8")
+html_extra_path = ["_extra"]
 
 ARRAY_LIKE = re.sub(r"~[\w.]*\.(\w+)", r"\1", stringify_annotation(ArrayLike, "smart"))
 """NumPy's definition of `ArrayLike`, as autodoc shows it."""

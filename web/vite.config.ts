@@ -70,7 +70,7 @@ function singleFile(): Plugin {
         if (file.type === "chunk") html = html.replace("</body>", () => `<script type="application/json" id="run">RUN</script>\n${text}\n</body>`);
         delete bundle[name];
       }
-      page.source = html.replace(/<link rel="icon"[^>]*>/, "");
+      page.source = html.replace(/<link rel="icon"[^>]*>/, '<link rel="icon" href="data:,">');
       page.fileName = "replay.html";
     },
   };

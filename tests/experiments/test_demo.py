@@ -132,7 +132,7 @@ def test_cut_outs_near_and_far_have_equal_size_and_the_pixels_of_the_camera() ->
     frame = Frame(0, 0.0, pixels)
     near = cut_out_of(Pose(97.5, 47.5, 1.0, 0.0, 0.5), frame)
     far = cut_out_of(Pose(97.5, 47.5, 2.0, 0.0, 0.5), frame)
-    assert near.shape == far.shape == (240, 240)
+    assert near.shape == far.shape == (200, 200)
     assert set(np.unique(near)) == {0, 200}
     # 16 of 22 pitches; half the width at twice the pitch
     assert np.mean(near == 200) == pytest.approx((16 / 22) ** 2, rel=0.02)

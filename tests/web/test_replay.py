@@ -14,6 +14,7 @@ pytest.importorskip("playwright", reason="playwright is not installed: pip insta
 from browsers import check_accessibility, needs_chromium, quiet_page
 from cli_runs import failed, lasting, succeeded, within
 from playwright.sync_api import Browser, expect
+from web_server import serving
 
 from heliograph.base.frames import Frame
 from heliograph.measure.reception import ReceptionCounter
@@ -70,3 +71,17 @@ def test_run_plays_in_a_browser_without_a_server(tmp_path: Path, chromium: Brows
         page.get_by_role("button", name="End tour").click()
         page.get_by_role("button", name="Play").click()
         expect(where).to_contain_text("0.299 s")
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_first_page_leads_to_the_recorded_drive(chromium: Browser) -> None:
+    with serving() as url, quiet_page(chromium, url) as page:
+        expect(page.locator("picture img")).to_be_visible()
+        check_accessibility(page)
+        page.get_by_role("link", name="Replay").click()
+        page.get_by_role("button", name="Take the tour").click()
+        for _ in range(4):
+            page.get_by_role("button", name="Next", exact=True).click()
+        expect(page.locator("#tour-title")).to_have_text("5 of 5: What arrived")
+        expect(page.locator("#messages")).to_contain_text("red for 12 s")

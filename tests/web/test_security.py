@@ -20,7 +20,7 @@ def fresh() -> Iterator[TestClient]:
         yield made
 
 
-@pytest.mark.parametrize("page", ["", "watch", "transmit", "receive", "watch.html", "icon.svg"])
+@pytest.mark.parametrize("page", ["", "watch", "transmit", "receive", "replay", "watch.html", "icon.svg"])
 def test_pages_have_a_strict_content_policy(client: TestClient, page: str) -> None:
     answer = client.get(f"/{page}")
     assert answer.status_code == 200

@@ -131,6 +131,10 @@ class Report:
         """Add a paragraph."""
         self._parts.append({"kind": "text", "text": text, "note": note})
 
+    def link(self, address: str, text: str) -> None:
+        """Add a link to a page in the same folder."""
+        self._parts.append({"kind": "link", "address": address, "text": text})
+
     def verdict(self, verdict: str, text: str) -> None:
         """Add a paragraph that begins with a coloured verdict."""
         self._parts.append({"kind": "verdict", "verdict": verdict, "text": text})
@@ -155,9 +159,9 @@ class Report:
         data = base64.b64encode(image).decode()
         self._parts.append({"kind": "picture", "format": kind, "data": data, "caption": caption})
 
-    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], prose: bool = False) -> None:
-        """Add a table, with wrapped cells if they are prose."""
-        self._parts.append({"kind": "table", "head": head, "rows": rows, "prose": prose})
+    def table(self, head: Sequence[str], rows: Sequence[Sequence[str]], prose: bool = False, title: str = "") -> None:
+        """Add a table, with wrapped cells if they are prose, folded below the title if it has one."""
+        self._parts.append({"kind": "table", "head": head, "rows": rows, "prose": prose, "title": title})
 
     def write(self, path: Path) -> None:
         """Write the page."""

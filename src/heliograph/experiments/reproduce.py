@@ -138,8 +138,7 @@ def write_report(
         for finding in result.findings:
             page.verdict(finding.verdict, f"{finding.claim} Measured: {finding.ours} {finding.why}".rstrip())
         for table in result.tables:
-            page.text(table.title)
-            page.table(table.head, table.rows)
+            page.table(table.head, table.rows, title=table.title)
     page.write(path)
 
 

@@ -7,6 +7,9 @@ from pathlib import Path
 from fastapi import APIRouter, Response
 from starlette.exceptions import HTTPException
 
+from heliograph.web.replay import recorded_page
+from heliograph.web.security import inline_policy
+
 PAGES = ("index", "watch", "transmit", "receive", "glossary")
 
 
@@ -22,6 +25,13 @@ _types = mimetypes.MimeTypes()
 _types.add_type("text/javascript", ".js")
 
 router = APIRouter()
+
+
+@router.get("/replay")
+def replay() -> Response:
+    """Return the replay of the recorded drive."""
+    page = recorded_page()
+    return Response(page, media_type="text/html", headers={"content-security-policy": inline_policy(page)})
 
 
 @router.get("/{name:path}")

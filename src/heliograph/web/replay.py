@@ -2,8 +2,10 @@
 
 import contextlib
 import json
+import lzma
 from base64 import b64encode
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,9 @@ from heliograph.web.watching.scene import SceneObserver
 
 PAGE = Path(__file__).with_name("pages") / "replay.html"  # page *Watch* in a single file, with RUN in place of the run
 
+RECORDED_RUN = Path(__file__).with_name("recorded-run.json.xz")
+"""Reception of the recorded drive for `page_of`, by `scripts/make_drive.py`."""
+
 MAX_BYTES = 14_000_000  # maximum size of frames and soft values in the page: a page has at most 15 MB
 
 FIRST_INTERVAL_S = 0.01  # shortest time between two frames, for short films
@@ -33,10 +38,15 @@ FIRST_INTERVAL_S = 0.01  # shortest time between two frames, for short films
 
 @contextlib.contextmanager
 def open_replay(
-    path: str | Path, source: FilmReader, signal: SignalSettings, settings: ReceiveSettings, reception: ReceptionCounter
+    path: str | Path,
+    source: FilmReader,
+    signal: SignalSettings,
+    settings: ReceiveSettings,
+    reception: ReceptionCounter,
+    max_bytes: int = MAX_BYTES,
 ) -> Iterator["ReplayLog"]:
     """Write a page at the end of the block."""
-    log = ReplayLog(signal, settings, reception)
+    log = ReplayLog(signal, settings, reception, max_bytes)
     has_truth = reception.errors is not None
     log.tell(source_row(source, shown_name(source.path), signal, settings.receiver, has_truth=has_truth))
     with whole_file(Path(path)) as partial:
@@ -53,9 +63,10 @@ def receive_and_record(
     reception: ReceptionCounter,
     observe: AnyObserver | None = None,
     progress: FrameProgress = silent,
+    max_bytes: int = MAX_BYTES,
 ) -> Iterator[tuple[Packet, list[Message]]]:
     """Receive a film as `receive_and_count`, and write the page."""
-    with open_replay(path, film, signal, settings.receive, reception) as log:
+    with open_replay(path, film, signal, settings.receive, reception, max_bytes) as log:
         journal = Journal(settings.receive.calibration, log.tell)
 
         def observe_all(event: Any) -> None:
@@ -73,11 +84,31 @@ def receive_and_record(
             yield packet, messages
 
 
+def page_of(run: str) -> str:
+    """Return the page of a run in JSON."""
+    before, after = PAGE.read_text(encoding="utf-8").split(">RUN<")
+    run = run.replace("</", "<\\/")  # "</" would end the element
+    return f"{before}>{run}<{after}"
+
+
+@cache
+def recorded_page() -> str:
+    """Return the page of the recorded drive."""
+    return page_of(lzma.decompress(RECORDED_RUN.read_bytes()).decode())
+
+
 class ReplayLog:
     """Observer of a reception that keeps rows, and as many frames as fit."""
 
-    def __init__(self, signal: SignalSettings, settings: ReceiveSettings, reception: ReceptionCounter):
+    def __init__(
+        self,
+        signal: SignalSettings,
+        settings: ReceiveSettings,
+        reception: ReceptionCounter,
+        max_bytes: int = MAX_BYTES,
+    ):
         self._observer, self._reception = SceneObserver(signal, settings.calibration), reception
+        self._max_bytes = max_bytes
         # JSON texts in order of time, and True for frames and soft values, which long runs thin out
         self._entries, self._bytes = list[tuple[str, bool]](), 0
         self._newest: Frame | None = None
@@ -107,10 +138,7 @@ class ReplayLog:
         if self._newest is not None:
             self._keep_frame(self._newest)
         self._keep(self._state())
-        # "</" would end the element
-        run = "[" + ",\n".join(text for text, _ in self._entries).replace("</", "<\\/") + "]"
-        before, after = PAGE.read_text(encoding="utf-8").split(">RUN<")
-        return f"{before}>{run}<{after}"
+        return page_of("[" + ",\n".join(text for text, _ in self._entries) + "]")
 
     def _state(self) -> Row:
         counts = state_row(self._reception, 0.0 if self._newest is None else self._newest.time_s)
@@ -125,7 +153,7 @@ class ReplayLog:
         text = json.dumps(row)
         self._entries.append((text, can_drop))
         self._bytes += len(text)
-        if self._bytes > MAX_BYTES:
+        if self._bytes > self._max_bytes:
             kept, seen = list[tuple[str, bool]](), {True: 0, False: 0}
             for entry, is_optional in self._entries:
                 is_frame = entry.startswith('{"scene"')

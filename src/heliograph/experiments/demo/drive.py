@@ -3,7 +3,7 @@
 import io
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -41,6 +41,7 @@ from heliograph.road.countdown import Countdown
 from heliograph.road.junction import Junction, example
 from heliograph.signal.message import Message, Updates
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.plot import LAYER_COLOURS
 from heliograph.transmit import Content
 
 Rgb = NDArray[np.uint8]
@@ -48,6 +49,7 @@ Colour = tuple[int, int, int]
 
 PALE: Colour = (201, 206, 214)
 DIM: Colour = (110, 118, 128)
+ORANGE: Colour = (255, 140, 60)
 
 LIGHTS: Mapping[str, Colour] = {
     "red": (220, 60, 48), "red-yellow": (230, 135, 40), "yellow": (235, 185, 50), "flashing": (235, 185, 50),
@@ -55,7 +57,8 @@ LIGHTS: Mapping[str, Colour] = {
 }  # fmt: skip
 """Colour of each signal phase."""
 
-CUT_PX = 240  # side of the cut-out of the array
+VIEW_PX = 200  # height of the street, of the array and of the picture in the animation
+RECENT = 5  # packets over which the bars of the animation count codewords
 
 
 @dataclass(slots=True)
@@ -73,6 +76,8 @@ class DriveRecorder:
     # Image of the state after each packet
     images: list[Rgb] = field(default_factory=list)
     _seen: tuple[Pose, Frame] | None = None
+    # Read and sent codewords of the last packets, by layer
+    _words: deque[dict[str, tuple[int, int]]] = field(default_factory=lambda: deque(maxlen=RECENT))
     _picture: bytes | None = None
     _lights: Countdown = field(default_factory=Countdown)
 
@@ -103,10 +108,11 @@ class DriveRecorder:
                 self._lights.take(row["road"], packet.start_time_s)
             if is_picture(message.data) and len(message.data) > len(self._picture or b""):
                 self._picture = message.data
-        cut = None if self._seen is None else cut_out_of(*self._seen)
-        layers = {name: (sum(w.status == "ok" for w in words), len(words)) for name, words in packet.layers.items()}
+        self._words.append(
+            {name: (sum(w.status == "ok" for w in words), len(words)) for name, words in packet.layers.items()}
+        )
         lights = [group for one in self._lights.at(packet.start_time_s) for group in one["groups"]]
-        self.images.append(drawn(cut, self._picture, packet.distance_m, layers, lights))
+        self.images.append(drawn(self._seen, self._picture, packet.distance_m, self._words, lights))
         self._seen = None
 
 
@@ -121,45 +127,68 @@ def pixels_of(data: bytes) -> Rgb | None:
     return None if pixels is None else np.asarray(pixels[..., ::-1], np.uint8)
 
 
-def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
-    """Array and surroundings, 22 pitches wide, scaled to a fixed size with no interpolation."""
-    scale = CUT_PX / (22.0 * pose.pitch)
-    x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
-    place = np.array([[scale, 0, CUT_PX / 2 - scale * x], [0, scale, CUT_PX / 2 - scale * y]])
-    pixels = (frame.pixels.astype(np.float32) * (255 / frame.full_scale)).astype(np.uint8)
-    return np.asarray(cv2.warpAffine(pixels, place, (CUT_PX, CUT_PX), flags=cv2.INTER_NEAREST), np.uint8)
-
-
 def drawn(
-    cut: NDArray[np.uint8] | None,
+    seen: tuple[Pose, Frame] | None,
     picture: bytes | None,
     distance_m: float,
-    layers: Mapping[str, tuple[int, int]],
+    words: Iterable[Mapping[str, tuple[int, int]]],
     lights: Sequence[Mapping[str, Any]],
 ) -> Rgb:
-    """Image of the state after a packet, (304, 640, 3) uint8 red, green, blue.
+    """Image of the state after a packet, (304, 960, 3) uint8 red, green, blue.
 
-    Cut-out of the tracked array, file of the best received picture, read and sent codewords by layer, signal groups.
+    Frame and pose of the array, file of the best received picture, read and sent codewords of the last packets by
+    layer, signal groups.
     """
-    image = np.full((304, 640, 3), (24, 27, 32), np.uint8)
-    if cut is not None:
-        image[12 : 12 + CUT_PX, 12 : 12 + CUT_PX] = cut[..., None]
-    x, view = 268, image[12:252, 268:628]
+    image = np.full((304, 960, 3), (24, 27, 32), np.uint8)
+    street, array, view = (image[34 : 34 + VIEW_PX, x : x + width] for x, width in ((12, 400), (424, 200), (636, 312)))
+    for x, title in ((12, "camera"), (424, "array, enlarged"), (636, "received picture")):
+        _write(image, title, (x, 24), PALE)
+    if seen is not None:
+        _draw_frame(street, array, *seen)
     pixels = pixels_of(picture) if picture else None
     if pixels is None:
         view[:] = (44, 48, 56)
-        _write(image, "the picture comes with the low layer", (x + 46, 136), DIM)
+        _write(image, "comes with the low layer", (696, 138), DIM)
     else:
         view[:] = cv2.resize(pixels, view.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    _write(image, f"{distance_m:.0f} m", (12, 286), PALE, 0.7)
-    for k, (name, (read, sent)) in enumerate(layers.items()):
-        _write(image, f"{name} {read}/{sent}", (102, 266 + 15 * k), PALE if read == sent else DIM, 0.38)
+    _write(image, f"{distance_m:.0f} m", (12, 282), PALE, 0.9)
+    for k, (name, colour) in enumerate(LAYER_COLOURS.items()):
+        read, sent = (sum(word[name][n] for word in words if name in word) for n in (0, 1))
+        y, (red, green, blue) = 247 + 19 * k, bytes.fromhex(colour[1:])
+        cv2.rectangle(image, (490, y), (623, y + 11), (44, 48, 56), -1)
+        cv2.rectangle(image, (490, y), (490 + round(133 * read / max(sent, 1)), y + 11), (red, green, blue), -1)
+        _write(image, name, (424, y + 10), PALE)
     for k, group in enumerate(lights[:2]):
-        at = x + 180 * k
-        cv2.circle(image, (at + 12, 279), 10, LIGHTS.get(group["phase"], DIM), -1, cv2.LINE_AA)
+        x = 636 + 160 * k
+        cv2.circle(image, (x + 12, 272), 10, LIGHTS.get(group["phase"], DIM), -1, cv2.LINE_AA)
         left_s = "" if group["left_s"] is None else f"{max(group['left_s'], 0):.0f} s"
-        _write(image, f"{group['phase']} {left_s}", (at + 30, 284), PALE, 0.55)
+        _write(image, f"{group['phase']} {left_s}", (x + 30, 277), PALE, 0.55)
     return image
+
+
+def cut_out_of(pose: Pose, frame: Frame) -> NDArray[np.uint8]:
+    """Array and surroundings, 22 pitches wide, scaled to a fixed size with no interpolation."""
+    scale = VIEW_PX / (22.0 * pose.pitch)
+    x, y = pose.x - frame.origin[0], pose.y - frame.origin[1]
+    place = np.array([[scale, 0, VIEW_PX / 2 - scale * x], [0, scale, VIEW_PX / 2 - scale * y]])
+    return np.asarray(cv2.warpAffine(_gray(frame), place, (VIEW_PX, VIEW_PX), flags=cv2.INTER_NEAREST), np.uint8)
+
+
+def _gray(frame: Frame) -> NDArray[np.uint8]:
+    return (frame.pixels.astype(np.float32) * (255 / frame.full_scale)).astype(np.uint8)
+
+
+def _draw_frame(street: Rgb, array: Rgb, pose: Pose, frame: Frame) -> None:
+    """Draw a frame with a box around the array, and the array with its surroundings, 22 pitches wide."""
+    pixels = _gray(frame)
+    x, y, half = pose.x - frame.origin[0], pose.y - frame.origin[1], 11.0 * pose.pitch
+    scale = min(street.shape[1] / pixels.shape[1], street.shape[0] / pixels.shape[0])
+    small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    street[: len(small), : small.shape[1]] = small[..., None]
+    left, top, right, low = (round(scale * at) for at in (x - half, y - half, x + half, y + half))
+    cv2.rectangle(street, (left, top), (right, low), ORANGE, 1, cv2.LINE_AA)
+    array[:] = cut_out_of(pose, frame)[..., None]
+    cv2.rectangle(array, (0, 0), (VIEW_PX - 1, VIEW_PX - 1), ORANGE, 1)
 
 
 def animated(images: Sequence[Rgb]) -> bytes:
@@ -234,12 +263,14 @@ def write_page(
         f"{counts['frames_per_second']:.0f} frames/s by the receiver {receiver}."
     )
     page.badges(_badges(counts, reception))
+    if path.with_name("replay.html").exists():
+        page.link("replay.html", "Replay: every moment of the reception, with a short tour")
     if moving:
         page.heading("The received drive")
         page.picture(
             moving,
-            "Left: the tracked array, packet by packet. Right: the picture in the low layer. Below: distance, read "
-            "codewords of each layer, countdown of the signals.",
+            "Packet by packet: the frame, the tracked array, the picture in the low layer. Below: distance, share of "
+            f"codewords read in the last {RECENT} packets by layer, countdown of the signals.",
         )
     if cuts:
         page.heading("What the camera saw")
