@@ -1,4 +1,4 @@
-"""Every code block of the documentation runs: Python in one namespace a page, commands in the page's own folder."""
+"""Code blocks of the documentation as tests, the order of all tests, and registered parts of a single file."""
 
 import os
 from collections.abc import Iterator
@@ -18,6 +18,20 @@ def _run(example: Example) -> None:
     from cli_runs import run_script
 
     run_script(example.parsed)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_parts() -> Iterator[None]:
+    """Begin each file without the registered parts of others, and without the failures of a worker in this process."""
+    from heliograph.base import registry
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(registry, "_files", {})
+        patch.setattr(registry, "_failures", None)
+        for parts in registry._registries.values():
+            patch.setattr(parts, "_registered", {})
+            patch.setattr(parts, "origins", {})
+        yield
 
 
 @pytest.fixture(scope="module")

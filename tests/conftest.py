@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from heliograph.base import registry
-
 SHARED_DATA = Path(os.environ.get("HELIOGRAPH_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
@@ -32,11 +30,3 @@ def logs_are_kept() -> Iterator[None]:
     """Undo what a command that ran in this process did to logging: a sweep switches it off to its end."""
     yield
     logging.disable(logging.NOTSET)
-
-
-@pytest.fixture
-def own_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """End the parts that a test registers with the test."""
-    for parts in registry._registries.values():
-        monkeypatch.setattr(parts, "_registered", dict(parts._registered))
-        monkeypatch.setattr(parts, "origins", dict(parts.origins))

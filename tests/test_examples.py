@@ -26,7 +26,6 @@ def test_each_example_is_run() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {*PICTURES, *SERVED}
 
 
-@pytest.mark.usefixtures("own_parts")
 @pytest.mark.parametrize("name", PICTURES)
 @pytest.mark.filterwarnings("default")
 @pytest.mark.slow

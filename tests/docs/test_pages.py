@@ -77,7 +77,6 @@ def test_notebooks_store_outputs_and_no_trace_of_a_machine(path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-@pytest.mark.usefixtures("own_parts")
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The cells run in this process, which saves the start of a kernel for each notebook."""

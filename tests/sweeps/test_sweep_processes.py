@@ -72,17 +72,12 @@ Kill = Callable[[], object]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def parts_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Load custom components from a file, as --load does, without those of other tests."""
+def parts_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Load custom components from a file, as --load does."""
     file = tmp_path_factory.mktemp("parts") / "own.py"
     file.write_text(OWN)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(registry, "_files", {})
-        for parts in registry._registries.values():
-            patch.setattr(parts, "_registered", {})
-            patch.setattr(parts, "origins", {})
-        registry.load_parts(file)
-        yield file
+    registry.load_parts(file)
+    return file
 
 
 def counted(kill: Kill = lambda: None, output: Path | None = None, **crew: Any) -> list[dict[str, Any]]:

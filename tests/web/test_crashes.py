@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from fastapi.testclient import TestClient
+from played_camera import PlayedCamera
 from waiting import wait_until
 from web_server import OWN, write_dark_film
 
+from heliograph.media.live.camera import register_camera
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
 from heliograph.web.connection import INTERNAL, Outbox
@@ -56,6 +57,7 @@ def raises(error: BaseException) -> Callable[..., Any]:
 
 @pytest.fixture(scope="module")
 def client(dark_film: Path) -> Iterator[TestClient]:
+    register_camera("played", PlayedCamera)
     app = create_app(films=[str(dark_film), f"camera:played:{dark_film}"])
     with TestClient(app, base_url=OWN, raise_server_exceptions=False) as made:
         yield made

@@ -15,11 +15,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-import played_camera  # noqa: F401 - registers camera:played
 import pytest
 from cli_runs import succeeded, within
 from fastapi.testclient import TestClient
 from film_checks import write_levels
+from played_camera import PlayedCamera
 from starlette.testclient import WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 from waiting import HANG_S, wait_until
@@ -32,6 +32,7 @@ from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.link.truth import truth_path
 from heliograph.media import create_film, open_film
+from heliograph.media.live.camera import register_camera
 from heliograph.web.app import create_app
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.limits import Limits
@@ -374,6 +375,7 @@ def test_stopped_drive_is_saved_and_received_by_the_command(client: TestClient, 
 
 @pytest.mark.slow
 def test_live_camera_is_watched_until_its_end(film: Path, tmp_path: Path) -> None:
+    register_camera("played", PlayedCamera)
     app = create_app(films=[f"camera:played:{film}"], camera=["Times=2"])
     with TestClient(app, base_url=OWN) as client, connected(client) as socket:
         assert client.get("/api/watch/sources").json()["named"] == [f"camera:played:{film}"]
@@ -390,6 +392,7 @@ def test_live_camera_is_watched_until_its_end(film: Path, tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_silent_camera_is_stopped(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("heliograph.web.watching.run.warm_up", lambda *_: None)
+    register_camera("played", PlayedCamera)
     app = create_app(films=[f"camera:played:{film}"], camera=["Times=0", "Speed=0.001"])
     with TestClient(app, base_url=OWN) as client, connected(client) as socket:
         socket.open(kind="named")

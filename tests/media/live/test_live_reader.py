@@ -30,8 +30,8 @@ def plugged_in(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(PlayedCamera, "opened", 0)
     monkeypatch.setattr(PlayedCamera, "unplugged", 0)
     monkeypatch.setattr(PlayedCamera, "pulled", None)
-    # `--load` of a command in this process may have registered another copy of its class
     register_camera("played", PlayedCamera, find)
+    register_camera("odd", Odd)
     yield
     assert not [thread for thread in threading.enumerate() if thread.name == "camera"]
 
@@ -183,9 +183,6 @@ class Odd:
     def close(self) -> None:
         if self._address == "clinging":
             raise RuntimeError("no")
-
-
-register_camera("odd", Odd)
 
 
 @pytest.mark.parametrize(("address", "says"), [

@@ -26,7 +26,6 @@ class Drawn(Webcam):
     device = "lavfi"
 
 
-register_camera("drawn", Drawn)
 RAMP = "nullsrc=size=64x48:rate={rate},geq=lum='mod(4*N,256)':cb=128:cr=128,format=gray{end}"
 """Picture k has level 4 k (modulo 256)."""
 
@@ -35,6 +34,7 @@ RAMP = "nullsrc=size=64x48:rate={rate},geq=lum='mod(4*N,256)':cb=128:cr=128,form
 def lavfi() -> None:
     if "lavfi" not in av.formats_available:
         pytest.skip("this PyAV has no device lavfi")
+    register_camera("drawn", Drawn)
 
 
 def drawn(rate: int, end: str = "", **asked: Any) -> LiveReader:
