@@ -31,7 +31,7 @@ demo: $(DEMO_STAMP)
 
 # two processes, a file of tests each: what a file's tests share is made once
 test: install
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # the tests that are quick
 test-quick: install
@@ -64,8 +64,8 @@ check-web: web
 
 # in an environment of the lowest versions that pyproject.toml allows, which call much that is deprecated now
 test-lowest: $(LOWEST)/.installed
-	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile -W ignore::DeprecationWarning \
-		-W ignore::numpy.VisibleDeprecationWarning
+	NUMBA_CACHE_DIR=$(CURDIR)/$(LOWEST)/kernels $(LOWEST)/bin/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder \
+		-W ignore::DeprecationWarning -W ignore::numpy.VisibleDeprecationWarning
 
 $(LOWEST)/.installed: pyproject.toml scripts/lowest_versions.py
 	mkdir -p $(LOWEST)

@@ -1,6 +1,7 @@
 """Code blocks of the documentation as tests, the order of all tests, and registered parts of a single file."""
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +13,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from sybil import Example, Sybil
 from sybil.parsers import myst, rest
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Start with the files that have the most slow tests and examples: at the end no process waits for long."""
+    slow = Counter(item.path for item in items if item.path.suffix != ".py" or item.get_closest_marker("slow"))
+    items.sort(key=lambda item: -slow[item.path])
 
 
 def _run(example: Example) -> None:
