@@ -154,7 +154,7 @@ def test_no_key_is_proposed_that_is_far_off(key: str, says: str) -> None:
     assert len(str(caught.value)) < 500
 
 
-@pytest.mark.parametrize("value", ["x" * 100_000, ["y"] * 100_000, "a\nb"], ids=lambda value: str(value)[:6])
+@pytest.mark.parametrize("value", ["x" * 100_000, ["y"] * 10_000, "a\nb"], ids=lambda value: str(value)[:6])
 def test_a_message_quotes_little_and_is_one_line(value: Any) -> None:
     for tree in (
         {"channel": {"distance_m": value}},

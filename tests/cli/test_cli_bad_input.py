@@ -258,6 +258,7 @@ def test_a_cut_film_gives_its_results_and_then_the_error(stock: Path, tmp_path: 
     assert "ends in the middle, after 1" in json.loads((tmp_path / "out/summary.json").read_text())["error"]
 
 
+@pytest.mark.slow
 def test_a_cut_film_keeps_the_json_whole(stock: Path, call: Call) -> None:
     run = call("receive", stock / "cut.mkv", "--json")
     failed(run)

@@ -60,6 +60,7 @@ def test_zero_packets_decide_no_claim() -> None:
     assert experiment.alike([], *NONE_LOST).verdict == "shown"
 
 
+@pytest.mark.slow
 def test_false_alarms_are_rare() -> None:
     """Equally distributed packets rarely differ significantly, despite large variation between packets."""
     rng = np.random.default_rng(3)
@@ -213,6 +214,7 @@ def test_all_scenes_have_different_settings() -> None:
     assert len(scenes.scene_settings("six arrays", 50.0).channel.arrays) == 6
 
 
+@pytest.mark.slow
 def test_blocks_are_counted_by_scene_and_distance() -> None:
     found = scenes.measure(["upright"], [30.0, 300.0], range(2), "plain", Context())
     near, far = found["upright", 30.0], found["upright", 300.0]

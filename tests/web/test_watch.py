@@ -157,6 +157,7 @@ def watched(client: TestClient, request: pytest.FixtureRequest) -> Watched:
     return watch(client, kind="named", number=0, receiver=request.param)
 
 
+@pytest.mark.slow
 def test_sources_of_the_server_are_listed_without_folders(client: TestClient, film: Path) -> None:
     found = client.get("/api/watch/sources").json()
     assert found["named"] == ["drive.h5", "half.h5"]
@@ -256,6 +257,7 @@ def test_failed_packets_are_saved_and_open_again(client: TestClient, tmp_path: P
     assert "errors" not in again.of("state")[-1]
 
 
+@pytest.mark.slow
 def test_saved_film_is_a_window_about_the_array_below_50_mb(tmp_path: Path) -> None:
     signal = load_settings("paper").signal
     recorder = FailureRecorder(tmp_path, signal, rate_hz=1000.0)
