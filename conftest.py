@@ -29,7 +29,7 @@ def _run(example: Example) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def own_parts() -> Iterator[None]:
-    """Begin each file without registered parts: worker processes import all of them, and one in this process stays."""
+    """Begin each file without the registered parts of others, and without the failures of a worker in this process."""
     from heliograph.base import registry
 
     with pytest.MonkeyPatch.context() as patch:

@@ -138,7 +138,7 @@ def test_no_key_is_proposed_that_is_far_off(key: str, says: str) -> None:
     assert len(str(caught.value)) < 500
 
 
-@pytest.mark.parametrize("value", ["x" * 100_000, ["y"] * 100_000, "a\nb"], ids=lambda value: str(value)[:6])
+@pytest.mark.parametrize("value", ["x" * 100_000, ["y"] * 10_000, "a\nb"], ids=lambda value: str(value)[:6])
 @pytest.mark.parametrize("key", ["channel.distance_m", "signal.slot_order", "receive.receiver"])
 def test_a_message_quotes_little(key: str, value: Any) -> None:
     part, name = key.split(".")

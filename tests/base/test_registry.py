@@ -185,21 +185,22 @@ offered-gone = offered_parts:Gone
 """
 
 
-@pytest.fixture
-def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Install a stand-in package with receiver entry points, as pip would."""
-    about = tmp_path / "offered-1.5.dist-info"
+    folder = tmp_path_factory.mktemp("installed")
+    about = folder / "offered-1.5.dist-info"
     about.mkdir()
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: offered\nVersion: 1.5\n")
     (about / "entry_points.txt").write_text(ENTRY_POINTS)
-    (tmp_path / "offered_parts.py").write_text(OFFERED)
-    (tmp_path / "offered_broken.py").write_text("1 / 0")
+    (folder / "offered_parts.py").write_text(OFFERED)
+    (folder / "offered_broken.py").write_text("1 / 0")
     before = digest()
-    monkeypatch.syspath_prepend(tmp_path)
-    _entries.cache_clear()
-    assert digest() != before
-    yield tmp_path
-    monkeypatch.undo()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        _entries.cache_clear()
+        assert digest() != before
+        yield
     sys.modules.pop("offered_parts", None)
     _entries.cache_clear()
 

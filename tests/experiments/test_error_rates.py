@@ -63,6 +63,7 @@ def pair(rate: float, count: int, seed: int) -> tuple[Records, Records, np.rando
     return records(rate, count, rng), records(rate, count, rng), rng
 
 
+@pytest.mark.slow
 def test_false_alarms_are_rare_despite_large_variation_between_packets() -> None:
     compared = [experiment.compare(*pair(0.01, 20, seed)) for seed in range(20)]
     assert np.mean([c.verdict == "apart" for found in compared for c in found]) < 0.02
@@ -194,6 +195,7 @@ def test_all_scenes_have_different_settings() -> None:
     assert len(scenes.scene_settings("six arrays", 50.0).channel.arrays) == 6
 
 
+@pytest.mark.slow
 def test_blocks_are_counted_by_scene_and_distance() -> None:
     found = scenes.measure(["upright"], [30.0, 300.0], range(2), "plain", Context())
     near, far = found["upright", 30.0], found["upright", 300.0]

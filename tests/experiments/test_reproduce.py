@@ -77,6 +77,7 @@ def reproduced(context: Context, folder: Path) -> list[ExperimentResult]:
     return book.reproduce(KEYS, context, folder, lambda key, title: None, before)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_keeps_results_and_continues(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     context, pages = Context(seed=3), (tmp_path / "report.html", tmp_path / "report.md")
     assert book.done_before(["fig5"], context, tmp_path / "none") == {}

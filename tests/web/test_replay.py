@@ -30,6 +30,7 @@ def entries(page: str) -> list[dict[str, object]]:
     return run
 
 
+@pytest.mark.slow
 def test_page_of_a_long_run_has_a_bounded_size_and_frames_of_all_of_it() -> None:
     log = ReplayLog(SignalSettings(), ReceiveSettings(), ReceptionCounter(None))
     noise = np.random.default_rng(1).integers(0, 255, (480, 640), np.uint8)
@@ -47,6 +48,7 @@ def test_page_of_a_long_run_has_a_bounded_size_and_frames_of_all_of_it() -> None
     assert gaps[:-2].max() <= 4 * max(gaps[:-2].min(), 1)
 
 
+@pytest.mark.slow
 def test_replay_and_commands_need_no_extra() -> None:
     absent = ("fastapi", "starlette", "uvicorn", "websockets", "segno", "rerun", "xarray", "dask")
     code = f"import sys; sys.modules.update(dict.fromkeys({absent})); import heliograph.cli.main, heliograph.web.replay"

@@ -148,6 +148,7 @@ def watched(client: TestClient, request: pytest.FixtureRequest) -> Watched:
     return watch(client, kind="named", number=0, receiver=request.param)
 
 
+@pytest.mark.slow
 def test_sources_of_the_server_are_listed_without_folders(client: TestClient, film: Path) -> None:
     found = client.get("/api/watch/sources").json()
     assert found["named"] == ["drive.h5", "half.h5"]
@@ -257,6 +258,7 @@ def saved_frames(recorder: FailureRecorder) -> list[Frame]:
         return list(kept)
 
 
+@pytest.mark.slow
 def test_saved_film_is_a_window_about_the_array_below_50_mb(tmp_path: Path) -> None:
     recorder = FailureRecorder(tmp_path, load_settings("paper").signal, rate_hz=1000.0)
     pixels = np.zeros((512, 1024), np.uint8)

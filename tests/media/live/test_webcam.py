@@ -62,6 +62,7 @@ def test_lost_pictures_show_in_the_stamps() -> None:
     assert (counts.lost, counts.skipped) == (0, 3)
 
 
+@pytest.mark.slow
 def test_a_webcam_waits_no_longer_than_requested() -> None:
     camera = Drawn(RAMP.format(rate=0.25, end=",realtime=limit=60"))
     camera.open(CameraSettings())

@@ -220,6 +220,7 @@ def test_a_live_camera_starts_with_nine_tenths_of_the_budget(cpu_share: float) -
     assert budget.is_low == (cpu_share < 1)
 
 
+@pytest.mark.slow
 def test_interrupted_searches_of_several_regions_continue_on_the_sensor() -> None:
     """Three noisy regions share a small budget; the window origins shift between searches."""
     rng, budget, found, spent = np.random.default_rng(0), TokenBucket(1e-3, 1e-3), set[int](), list[float]()
@@ -249,6 +250,7 @@ def test_interrupted_searches_of_several_regions_continue_on_the_sensor() -> Non
     assert found == {0, 1, 2}
 
 
+@pytest.mark.slow
 def test_a_busy_scene_stays_within_the_budget_and_drop_events_report_skipped_work() -> None:
     recorder, cpu_share = Recorder(), 0.01
     settings = ReceiveSettings(receiver="soft", detect=DetectSettings(cpu_share=cpu_share))
