@@ -15,8 +15,8 @@ from heliograph.link.settings import load_settings
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.reception import ReceptionCounter
 from heliograph.media import open_film
+from heliograph.web import replay
 from heliograph.web.recorded_drive import RECORDED_DRIVE
-from heliograph.web.replay import RECORDED_RUN, receive_and_record
 
 SETTINGS = [
     "channel.camera.width=320", "channel.camera.height=180", "channel.speed_m_s=16.7", "channel.arrays.0.x_m=0.6",
@@ -27,12 +27,13 @@ SETTINGS = [
 def record() -> None:
     """Receive the film and keep the run."""
     settings = load_settings("paper", None, [*SETTINGS, "receive.receiver=soft"])
+    replay.MAX_BYTES = 3_000_000
     with open_film(RECORDED_DRIVE) as film, tempfile.TemporaryDirectory() as folder:
         page, counter = Path(folder) / "run.html", ReceptionCounter(open_truth(truth_path(RECORDED_DRIVE)))
-        deque(receive_and_record(page, film, settings.signal, settings, counter, max_bytes=3_000_000), maxlen=0)
+        deque(replay.receive_and_record(page, film, settings.signal, settings, counter), maxlen=0)
         run = re.search(r'id="run">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
     assert run is not None
-    RECORDED_RUN.write_bytes(lzma.compress(run[1].encode(), preset=9))
+    replay.RECORDED_RUN.write_bytes(lzma.compress(run[1].encode(), preset=9))
 
 
 if __name__ == "__main__":

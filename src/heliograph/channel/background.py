@@ -62,7 +62,6 @@ NEAR_M, FAR_M = 12.0, 320.0
 """Distance range of the drawn street."""
 
 KERB_M = 4.6  # distance from the centre of the road to the kerb
-
 FINER = 3  # supersampling of the drawing for smooth edges
 
 
@@ -320,7 +319,8 @@ def footage_background(scenery: Scenery) -> Painter:
 
 def _still_painter(scenery: Scenery, scene: Gray) -> Painter:
     """Return the painter of a drawn scene at a distance of 300 m."""
-    return _painter(scenery, lambda _: scene.astype(np.float32), 300.0)
+    image = scene.astype(np.float32)
+    return _painter(scenery, lambda _: image, 300.0)
 
 
 def _painter(scenery: Scenery, image_at: Callable[[float], NDArray[np.float32]], depth_m: float) -> Painter:

@@ -18,7 +18,6 @@ Shake = Callable[[Floats], Floats]  # times (...) in s -> (..., 4): heave in m, 
 Motion = Callable[[Floats], CameraPose]  # times in s -> camera poses
 
 STEP_S = 2e-3  # step of the half-car simulation
-
 RUN_IN_S = 5.0  # drive time of the half-car before time 0; the slowest mode decays as exp(-1.76 t)
 
 

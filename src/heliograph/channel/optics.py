@@ -122,8 +122,7 @@ def _fractions(out: Floats, first: int, last: int, centre: float, sigma: float, 
 def _span(centre: float, sigma: float, start: int, size: int) -> tuple[int, int]:
     """Return the first and the last pixel of a Gaussian within a window."""
     first = math.ceil(centre - REACH_SIGMA * sigma - 0.5)
-    last = math.floor(centre + REACH_SIGMA * sigma + 0.5)
-    return max(start, first), min(start + size - 1, last)
+    return max(start, first), min(start + size - 1, math.floor(centre + REACH_SIGMA * sigma + 0.5))
 
 
 @compiled(inline="always")

@@ -269,8 +269,7 @@ def luma_gain(camera: CameraSettings, gamma: float, colour: Colour, time_s: floa
     # Y(t) = (w_r (a_r(t) c_r)^(1/gamma) + w_g c_g^(1/gamma) + w_b (a_b(t) c_b)^(1/gamma)) L^(1/gamma)
     weights = (0.2126, 0.7152, 0.0722)  # of red, green and blue in luma (Rec. ITU-R BT.709)
     luma = sum(w * (a * c) ** (1 / gamma) for w, a, c in zip(weights, gains, colour, strict=True))
-    reference = sum(w * c ** (1 / gamma) for w, c in zip(weights, colour, strict=True))
-    return (luma / reference) ** gamma
+    return (luma / sum(w * c ** (1 / gamma) for w, c in zip(weights, colour, strict=True))) ** gamma
 
 
 def surroundings_gain(settings: ChannelSettings, time_s: float) -> float:

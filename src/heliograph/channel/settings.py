@@ -46,7 +46,6 @@ MAX_MOTION_PX = 1e3
 """Maximum motion of an array in the image during an exposure in px; limits the memory of a frame to 0.13 GB."""
 
 MAX_JITTER = 0.45  # largest error of a frame time in frame periods; below 1/2, so that frame times rise
-
 MIN_DISTANCE_M = 0.3  # minimum distance of a rendered panel; the image is much larger than the sensor there
 
 

@@ -15,7 +15,6 @@ import typer
 from heliograph.base.errors import HeliographError, printable
 
 INTERRUPTED = 130  # exit status after Ctrl-C
-
 NO_ARRAY = 3  # exit status of a complete reception that found no array
 
 

@@ -33,8 +33,7 @@ def demo(
     is_new, film = not output.exists(), output / "drive.mp4"
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)
-    size_mb = max(1, round(film_bytes(link) / 1e6))
-    console.say(f"{film}: a film of {frames_of(link)} frames, about {size_mb} MB")
+    console.say(f"{film}: a film of {frames_of(link)} frames, about {max(1, round(film_bytes(link) / 1e6))} MB")
     old_time = film.stat().st_mtime_ns if film.exists() else None
     try:
         receive = partial(receive_and_record, output / "replay.html")

@@ -145,8 +145,7 @@ def _count_film(scheme: Scheme, settings: LinkSettings, rng: np.random.Generator
     def observe(event: Event) -> None:
         if isinstance(event, ExtractEvent) and 0 <= (pair := event.frames[0].index // 2 - header) < signal.data_pairs:
             for method, rows in wrong.items():
-                luminances = _luminances(event, method, truths, settings)
-                rows.append((scheme.decode(luminances) < 0) != bits[pair])
+                rows.append((scheme.decode(_luminances(event, method, truths, settings)) < 0) != bits[pair])
 
     # the high layer is readable beyond the reach of the default search
     detect = replace(settings.receive.detect, min_side_px=5.0)

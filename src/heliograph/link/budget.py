@@ -245,8 +245,7 @@ def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
     # 6 LEDs give the brightness; above a pitch of 32 px, LEDs are separate and the brightness is constant
     image = array_images(channel, 6, distance_m * max(1.0, pitch_px / 32.0), (0.0, 0.0))
     all_on *= place.brightness
-    disc_px = emitter.diameter_m / 4 * pitch_px / emitter.pitch_m
-    blur_px = math.sqrt(camera.blur_px**2 + disc_px**2 + 1 / 12)
+    blur_px = math.sqrt(camera.blur_px**2 + (emitter.diameter_m / 4 * pitch_px / emitter.pitch_m) ** 2 + 1 / 12)
     electrons_px = all_on * image.light * channel.sensor.full_well_e
     return Spot(
         distance_m=distance_m,

@@ -14,7 +14,6 @@ from heliograph.base.files import clear_write_errors, read_bounded, write_whole
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress, WholeFile
 
 PART_NAME = ".part-{key}-*.npz"  # names of symbol files
-
 MAX_FILES = 1000  # maximum number of symbol files, and of files of the same name
 
 

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from websockets.asyncio.server import Server
 
 MOST_DATAGRAM = 65507  # largest payload of a UDP datagram over IPv4, in bytes
-
 CLOSE_TIMEOUT_S = 2.0  # time in s for clients to receive queued rows at the end
 
 

@@ -36,7 +36,6 @@ from heliograph.signal.settings import LAYERS, SignalSettings
 from heliograph.transmit import Content
 
 MAX_ABOUT = 1 << 24  # maximum size in bytes of film metadata and of message updates
-
 BLOCK_ROWS = 4096  # rows per read
 
 ARRAY_FIELDS = [
@@ -307,7 +306,6 @@ def _content(archive: zipfile.ZipFile, entry: Any) -> Content:
 
 
 SIGNAL_TAG = "heliograph_signal"  # film metadata key of the signal settings
-
 TRUTH_TAG = "heliograph_simulation"  # film metadata key of the random id that film and truth file share
 
 

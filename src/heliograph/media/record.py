@@ -16,9 +16,7 @@ from heliograph.base.errors import MediaError, shown
 from heliograph.base.frames import LATEST_S
 
 FASTEST_HZ = 1e6  # largest frame rate: a frame a tick
-
 SLOWEST_HZ = 1e-6  # smallest frame rate, a frame in twelve days; it separates rates from damaged numbers
-
 LARGEST = 1 << 27  # largest number of pixels of a frame, twice the largest camera of the settings
 
 _FINEST_TICKS = 1_000_000

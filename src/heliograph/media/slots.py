@@ -23,7 +23,6 @@ SIGNATURES = {".bits": b"HGBITS1\n", ".hub75": b"HGHUBS1\n", ".shift": b"HGSHFT1
 """First 8 bytes of a binary file by suffix; the last digit is the version of the layout."""
 
 SUFFIXES = (*SIGNATURES, ".h")  # suffixes of files for drivers. A C header holds the bytes of ".bits" as an array
-
 HEAD = struct.Struct("<8sHHIQII")  # start of a binary file: signature, the values of `SlotForm`, bytes of a slot, zeros
 
 _MACROS = ("SIDE", "SLOTS_PER_PATTERN", "SLOT_NS", "SLOTS", "BYTES_PER_SLOT")

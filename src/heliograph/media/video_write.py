@@ -154,8 +154,7 @@ def _coding(
         return "yuv420p", {"preset": "veryfast", "bf": "0", **quiet}
     if codec == "h265":
         return "yuv420p", {"preset": "ultrafast", "crf": quality, "x265-params": "log-level=none:bframes=0"}
-    even = spec.width % 2 == 0 and spec.height % 2 == 0
     # players show only 4:2:0, and lossless films in no format
-    is_colour = spec.bits == 8 and even and not lossless
+    is_colour = spec.bits == 8 and (spec.width % 2 == 0 and spec.height % 2 == 0) and not lossless
     pixel_format = "yuv420p" if is_colour else planes.gray_format(max(spec.bits, 10) if spec.bits > 8 else 8)
     return pixel_format, {"preset": "ultrafast", "bf": "0", **({"qp": "0"} if lossless else {"crf": quality})}

@@ -128,8 +128,7 @@ def _alternate(levels: Floats, mixing: Floats, top: float) -> tuple[float, Float
 def _decide(levels: Floats, mixing: Floats, top: float) -> Floats:
     """Return the bits (n, 3) as 0 and 1 with the nearest levels."""
     shown = np.minimum(STATES @ mixing[:, :COLOURS].T + mixing[:, COLOURS], top)
-    seen = np.minimum(levels, top)
-    distance = (shown**2).sum(axis=1) - 2 * seen @ shown.T
+    distance = (shown**2).sum(axis=1) - 2 * np.minimum(levels, top) @ shown.T
     return np.asarray(STATES[distance.argmin(axis=1)])
 
 

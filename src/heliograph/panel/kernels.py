@@ -16,8 +16,7 @@ def _fill_window(point, sigma, reach, size, along):
         return 0, -1, 0, -1
     left, right = max(0, math.ceil(px - reach)), min(size[1] - 1, math.floor(px + reach))
     for j in range(right - left + 1):
-        d = left + j - px
-        along[j] = _density(d, sigma)
+        along[j] = _density(left + j - px, sigma)
     return left, right, max(0, math.ceil(py - reach)), min(size[0] - 1, math.floor(py + reach))
 
 

@@ -39,7 +39,6 @@ from heliograph.panel.search import (
 )
 
 MIN_SIDE_PX = 8.0  # minimum side of a panel in px
-
 ACCEPTED = 0.75  # minimum score of a correct position. Chosen from `benchmarks/panel_places.py`
 
 

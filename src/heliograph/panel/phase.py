@@ -19,9 +19,7 @@ from heliograph.panel.place import UNIT, Levels, Shape, homographies, transform
 Waves = NDArray[np.complex128]  # amplitudes of the waves at LEDs, (rows, columns)
 
 PER_LED = 6  # samples per LED in the upright image; even
-
 RIM = 3  # LEDs beyond the panel in the upright image
-
 PATCHES = (4.0, 8.0)  # sides in LEDs of the patches for the comparison of phases
 
 

@@ -243,8 +243,7 @@ def settle(
     offset, growth = (np.zeros(2), np.zeros(2)) if hand is None else _compare(corners, hand, shape)
     counts = shape.columns, shape.rows
     for peaks, count, off, rise in zip((lit.columns, lit.rows), counts, offset, growth, strict=True):
-        line = np.minimum(peaks, 6.0)
-        evidence = np.array([line[k : k + count].sum() for k in range(2 * RIM + 1)])
+        evidence = np.array([np.minimum(peaks, 6.0)[k : k + count].sum() for k in range(2 * RIM + 1)])
         if hand is not None:
             evidence = evidence - 2.0 * np.minimum((steps + off) ** 2, 2.0)
         best = int(np.argmax(evidence - 1e-6 * np.abs(steps))) if shift else RIM

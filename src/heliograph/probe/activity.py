@@ -26,7 +26,6 @@ ALTERNATION_NOISE = 1.118 * 0.798
 """Mean magnitude of the alternation of white noise with unit variance: sqrt(20) / 4 times sqrt(2 / pi)."""
 
 CHANGE_NOISE = 1.414 * 0.798  # mean magnitude of the change from frame to frame of white noise with unit variance
-
 QUIET = 0.25  # part of the blocks assumed quiet
 
 
@@ -134,8 +133,7 @@ def block_noise(detail: Floats, gray: Floats) -> Floats:
     clear = distance > 1.0
     slopes = (variances[j] - variances[i])[clear] / distance[clear]
     slope = max(float(np.median(slopes)), 0.0) if slopes.size > QUIET * distance.size else 0.0
-    base = float(np.median(variances - slope * levels))
-    usual = np.sqrt(np.maximum(base + slope * gray, 0.0))
+    usual = np.sqrt(np.maximum(float(np.median(variances - slope * levels)) + slope * gray, 0.0))
     return np.asarray(np.maximum(np.minimum(detail, usual), 0.29))  # rounding alone: sqrt(1 / 12)
 
 

@@ -23,9 +23,7 @@ from heliograph.receive.sync.combine import COVARIANCE
 from heliograph.signal.pwm import SLOTS
 
 LAGS = (1, 2, 3)  # compared differences of frame numbers
-
 PIECE = 24  # frames of a piece in which the duration may be off by 1 %, an eighth of a pattern at the ends
-
 STEP = 0.02  # relative step of the tried durations
 
 MIN_VARIANCE = 0.01

@@ -17,7 +17,6 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 
 BLOCK_PX = 8  # side of the blocks in px
-
 ROUNDING = 1 / 12  # variance of rounding in squared gray levels
 
 Obstacle = Literal["", "one level", "moving", "wiped", "no slope", "few"]

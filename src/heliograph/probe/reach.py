@@ -26,7 +26,6 @@ from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 
 MAX_SIDE = 32  # maximum LEDs per row: the matrices of 64 x 64 LEDs take minutes
-
 MAX_PITCH_PX = 3.0  # maximum pitch: receivers reduce nearer arrays to it
 
 _KINDS: dict[str, Kind] = {"plain": "sampled", "soft": "linear"}

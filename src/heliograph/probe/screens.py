@@ -136,9 +136,7 @@ def usual(rate_hz: float) -> float:
 
 
 MAX_SLANT = 1.6  # maximum ratio of sides, or of diagonals: at 45 degrees it is 1.5, and all is decoded
-
 MIN_CELL_PX = 5.0  # minimum px per cell in a hand; in good light 2.3 px are decoded
-
 MIN_FRAMES = 1.7  # minimum frames per pattern: of fewer nearly all frames show two patterns
 
 

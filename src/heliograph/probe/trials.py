@@ -23,7 +23,6 @@ from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 
 SURE_HEADER = 0.85  # minimum correlation with a certain header: clutter seldom exceeds 0.8
-
 MIN_TURN_DEG = 5.0  # minimum turn in degrees of arrays that need corners
 
 
@@ -102,8 +101,7 @@ class _Trials:
         if self._retimed:
             every = max(1, min((b.index - a.index for a, b in itertools.pairwise(frames)), default=1))
             step_s = setup.signal.pattern_period_s / (1.0 if abs(duration - 1) < STEP_TOLERANCE else duration)
-            numbers = [(frame.index - frames[0].index) / every for frame in frames]
-            stamped = zip(frames, numbers, strict=True)
+            stamped = zip(frames, [(frame.index - frames[0].index) / every for frame in frames], strict=True)
             self._frames = [replace(frame, index=int(number), time_s=number * step_s) for frame, number in stamped]
 
     def find(
@@ -207,8 +205,7 @@ def outline(
     if not contours:
         return None
     x, y = frames[0].origin
-    point = centre[0] - x, centre[1] - y
-    contour = max(contours, key=lambda shape: cv2.pointPolygonTest(shape, point, True))
+    contour = max(contours, key=lambda shape: cv2.pointPolygonTest(shape, (centre[0] - x, centre[1] - y), True))
     middle, sides, turn = cv2.minAreaRect(contour)
     # a contour passes through the centres of pixels
     wide, high = sides[0] + 1.0, sides[1] + 1.0

@@ -14,7 +14,6 @@ from heliograph.signal.block import AnyBlock
 from heliograph.signal.formats import AGREED, Format
 
 DECODING_RATIO = 1.3  # information per coded bit that the turbo code of rate 1/3 and 1000 bits needs, over its rate
-
 ERASED = 255  # raw bit that was not received
 
 
@@ -71,7 +70,6 @@ class Codeword:
 Words = Mapping[str, tuple[Codeword, ...]]  # codewords of a packet by layer, decoded or not
 
 MIN_HEADER_SCORE = 0.5  # minimum header score of a received header: half of the array's light alternates
-
 MIN_PAIRS_SEEN = 0.5  # minimum fraction of visible data pairs: a code of a rate above 1/2 fails if more are lost
 
 

@@ -11,7 +11,6 @@ from heliograph.base.errors import SettingsError
 from heliograph.road.junction import GroupSettings, Junction, LaneSettings, Phase
 
 KINDS = {4: "SPATEM", 5: "MAPEM"}  # kind by message number in the header (ETSI TS 102 894-2)
-
 MAX_BYTES = 8192  # maximum size of a message in bytes; a MAPEM of 100 lanes has about 3000
 
 _LOCK = threading.Lock()  # lock for the types of pycrate, which store the latest value

@@ -1,33 +1,4 @@
-"""Information blocks with header, payload and CRC-32 (section 7).
-
-Each codeword carries a block. Message block:
-
-    byte 0      version (upper 4 bits), layer 0 high, 1 middle, 2 low (lower 4 bits)
-    byte 1      array identity
-    byte 2      stream: message number in the layer
-    bytes 3-4   sequence: segment number in the message
-    bytes 5-7   message length in bytes
-    ...         payload, zero-padded in the last segment
-    last 4      CRC-32 (IEEE 802.3) of all preceding bytes
-
-A file block adds 4 to the layer number and has other fields (section 7.1):
-
-    byte 2        code: 0 Cauchy, 1 RaptorQ
-    bytes 3-5     number of the first symbol
-    bytes 6-8     file length in bytes
-    bytes 9-10    symbol size in bytes
-    bytes 11-14   CRC-32 of the file
-    ...           as many symbols as fit, then zeros
-
-A small file block has a shorter header (section 7.2). The layer number plus 8 marks a symbol (left), plus 12 a file
-description (right):
-
-    byte 2        tag: first CRC byte                   bytes 2-4   file length in bytes
-    bytes 3-4     symbol number                         bytes 5-8   CRC-32 of the file
-    ...           symbol, then zeros                    ...         zeros
-
-Numbers are big-endian; bytes start with the most significant bit.
-"""
+"""Information blocks with header, payload and CRC-32, one in each codeword (docs/air-interface.md, section 7)."""
 
 import zlib
 from collections.abc import Iterator
@@ -40,13 +11,9 @@ from numpy.typing import NDArray
 from heliograph.signal.settings import LAYERS
 
 VERSION = 1  # air interface version in every block (section 7)
-
 CRC_BYTES = 4  # CRC-32 bytes (section 7)
-
 MIN_BITS = 8 * (8 + CRC_BYTES + 1)  # minimum information bits per block: header, CRC and a single payload byte
-
 MAX_MESSAGE = (1 << 24) - 1  # maximum message length in bytes: the length field has three bytes
-
 MAX_SEGMENTS = 1 << 16  # maximum number of segments per message: the sequence field has two bytes
 
 

@@ -13,9 +13,7 @@ from heliograph.signal.m_sequence import HEADER_POLYNOMIALS, m_sequence
 from heliograph.signal.pwm import SLOTS
 
 CELLS = 4  # header cells per row and column (section 4)
-
 CHIPS = CELLS * CELLS - 1  # chips in the header M-sequence: a period at degree 4. The last cell is dark
-
 IDENTITIES = CHIPS * len(HEADER_POLYNOMIALS)  # number of identities: 15 cyclic phases for each of two polynomials
 
 

@@ -12,7 +12,6 @@ from heliograph.signal.code import CODES
 from heliograph.signal.pwm import SLOT_ORDER, SLOTS
 
 LAYERS = ("high", "middle", "low")  # layers in priority order (section 5)
-
 MULTIPLICITY = (1, 2, 1)  # data matrix quarters per layer: D11; D12 and D21; D22 (section 5)
 
 RATE_SLACK = 1e-3

@@ -19,7 +19,6 @@ from heliograph.web.sending import MAX_RATE_HZ, MIN_RATE_HZ, screen_settings
 Tell = Callable[[Mapping[str, Any]], None]  # sends a row to a page; an exception ends the reception
 
 TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28)  # sides in the order of trials; page *Transmit* offers 16 first
-
 DEFAULT_RATE_HZ = 10.0  # default pattern rate, as in page *Transmit*
 
 

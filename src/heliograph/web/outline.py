@@ -11,13 +11,9 @@ from heliograph.receive.screen.cells import Pixels32, light_of
 from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
 
 MIN_WINDOW_S, WINDOW_S, STEP_S = 0.3, 1.0, 0.2  # frames of a search, and interval of searches in s
-
 FRAME_S = 0.045  # minimum interval of the frames in s
-
 MAX_SHIFT = 0.05  # maximum shift of a corner between two searches, over the side of the picture
-
 MIN_FILL = 0.35  # minimum change of 90 % of the pixels, over the mean change: screens have 0.48, edges 0.19
-
 LIGHT = ((np.arange(256) / 255) ** 2.2).astype(np.float32)  # light of gray levels
 
 

@@ -28,7 +28,6 @@ WINDOW_S, WINDOW_BYTES = 7.0, 160 << 20
 """Frames for the estimate of a link: two packets of 3 s and a pause; 170 frames of 1280 x 720 pixels."""
 
 PATIENCE_S = 12.0  # waiting time in s for a codeword before a diagnosis and a new estimate: three packets
-
 PROBE_FRAMES = 128  # frames of a diagnosis: some seconds of computing
 
 EARLY_S, EARLY_FRAMES = 2.0, 32

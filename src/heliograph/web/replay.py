@@ -32,21 +32,15 @@ RECORDED_RUN = Path(__file__).with_name("recorded-run.json.xz")
 """Reception of the recorded drive for `page_of`, by `scripts/make_drive.py`."""
 
 MAX_BYTES = 14_000_000  # maximum size of frames and soft values in the page: a page has at most 15 MB
-
 FIRST_INTERVAL_S = 0.01  # shortest time between two frames, for short films
 
 
 @contextlib.contextmanager
 def open_replay(
-    path: str | Path,
-    source: FilmReader,
-    signal: SignalSettings,
-    settings: ReceiveSettings,
-    reception: ReceptionCounter,
-    max_bytes: int = MAX_BYTES,
+    path: str | Path, source: FilmReader, signal: SignalSettings, settings: ReceiveSettings, reception: ReceptionCounter
 ) -> Iterator["ReplayLog"]:
     """Write a page at the end of the block."""
-    log = ReplayLog(signal, settings, reception, max_bytes)
+    log = ReplayLog(signal, settings, reception)
     has_truth = reception.errors is not None
     log.tell(source_row(source, shown_name(source.path), signal, settings.receiver, has_truth=has_truth))
     with whole_file(Path(path)) as partial:
@@ -63,10 +57,9 @@ def receive_and_record(
     reception: ReceptionCounter,
     observe: AnyObserver | None = None,
     progress: FrameProgress = silent,
-    max_bytes: int = MAX_BYTES,
 ) -> Iterator[tuple[Packet, list[Message]]]:
     """Receive a film as `receive_and_count`, and write the page."""
-    with open_replay(path, film, signal, settings.receive, reception, max_bytes) as log:
+    with open_replay(path, film, signal, settings.receive, reception) as log:
         journal = Journal(settings.receive.calibration, log.tell)
 
         def observe_all(event: Any) -> None:
@@ -100,15 +93,8 @@ def recorded_page() -> str:
 class ReplayLog:
     """Observer of a reception that keeps rows, and as many frames as fit."""
 
-    def __init__(
-        self,
-        signal: SignalSettings,
-        settings: ReceiveSettings,
-        reception: ReceptionCounter,
-        max_bytes: int = MAX_BYTES,
-    ):
+    def __init__(self, signal: SignalSettings, settings: ReceiveSettings, reception: ReceptionCounter):
         self._observer, self._reception = SceneObserver(signal, settings.calibration), reception
-        self._max_bytes = max_bytes
         # JSON texts in order of time, and True for frames and soft values, which long runs thin out
         self._entries, self._bytes = list[tuple[str, bool]](), 0
         self._newest: Frame | None = None
@@ -153,7 +139,7 @@ class ReplayLog:
         text = json.dumps(row)
         self._entries.append((text, can_drop))
         self._bytes += len(text)
-        if self._bytes > self._max_bytes:
+        if self._bytes > MAX_BYTES:
             kept, seen = list[tuple[str, bool]](), {True: 0, False: 0}
             for entry, is_optional in self._entries:
                 is_frame = entry.startswith('{"scene"')

@@ -32,9 +32,7 @@ from heliograph.receive.events import EqualiseEvent, Event
 from heliograph.signal.block import pack
 
 TOLERANCE = 0.1  # allowed relative deviation of observed from predicted error probability
-
 GOOD_M = 0.25  # required rms error of the distance in m
-
 EDGES = (0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5)  # bin edges of the predicted error probability
 
 FIRST, LAST = "first iteration", "last iteration"

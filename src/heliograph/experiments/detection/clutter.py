@@ -24,7 +24,6 @@ from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
 FRAMES = 10  # frames of a film
-
 SIZE = (640, 1152)  # scene in pixels: the sensor and the margin for the shake
 
 RATE_HZ = 1000.0

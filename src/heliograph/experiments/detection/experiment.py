@@ -160,9 +160,7 @@ def is_same(pose: Pose, truth: Pose) -> bool:
 DISTANCES_M = (25.0, 50.0, 80.0)
 
 FOUND = 0.95  # fraction of the arrays above the fitted threshold
-
 SCORE = ReceiveSettings().detect.score  # threshold of the receiver
-
 RECEIVER = "receiver as set"  # name of the receiver in tables; its scores are 1 for a detection, else 0
 
 
@@ -491,8 +489,7 @@ def _matrices(confusions: Mapping[float, Confusion], title: str) -> Figure:
     figure = Figure(figsize=(10, 3.6))
     figure.suptitle(title)
     for axes, (distance, one) in zip(figure.subplots(1, len(confusions)), confusions.items(), strict=True):
-        rate = one.counts / np.maximum(one.counts.sum(1, keepdims=True), 1)
-        axes.imshow(rate, cmap="Blues", vmin=0, vmax=1)
+        axes.imshow(one.counts / np.maximum(one.counts.sum(1, keepdims=True), 1), cmap="Blues", vmin=0, vmax=1)
         axes.grid(visible=False)
         axes.axvline(29.5, color=plots.GRAY, lw=0.8)
         axes.set(xlabel="found", xticks=[0, 10, 20, 30], yticks=[0, 10, 20])

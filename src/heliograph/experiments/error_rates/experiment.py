@@ -14,7 +14,7 @@ rates account for dependent bits in a packet; with no error after the code, the 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -157,7 +157,6 @@ def all_layers(layers: Layers) -> Clustered:
 
 
 MARGIN = 1.5  # factor between driving and static up to which they are alike; about the change of an error rate over 3 m
-
 RISK = 0.05  # significance level of the tests
 
 ComparisonVerdict = Literal["alike", "apart", "open"]
@@ -307,16 +306,15 @@ def run(context: Context, effort: ErrorRateEffort | None = None) -> ExperimentRe
         ],
         tables=[_rates_table(rates), _comparison_table(comparisons)],
         data={
-            **{name: _plain(counts) for name, counts in rates.items()},
+            **{
+                name: [{"distance_m": z, **{n: asdict(c) for n, c in by.items()}} for z, by in sorted(counts.items())]
+                for name, counts in rates.items()
+            },
             "comparison": [asdict(comparison) for comparison in comparisons],
             "lost": {name: asdict(count) for name, count in lost.items()},
             "false_codewords": false_codewords,
         },
     )
-
-
-def _plain(counts: CountsByDistance) -> list[dict[str, Any]]:
-    return [{"distance_m": z, **{n: asdict(c) for n, c in layers.items()}} for z, layers in sorted(counts.items())]
 
 
 def measure(context: Context, effort: ErrorRateEffort) -> tuple[Rates, Sequence[Comparison], Mapping[str, Count], int]:

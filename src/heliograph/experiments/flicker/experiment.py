@@ -131,8 +131,7 @@ def _waveforms(waves: Mapping[Signal, Floats], slot_s: float) -> Figure:
     figure = Figure(figsize=(10, 5.2))
     for axes, name in zip(figure.subplots(len(shown), 1, sharex=True), shown, strict=True):
         flux = waves[name][: 24 * pwm.SLOTS]
-        header = 1e3 * slot_s * pwm.SLOTS * (2 if "no inverses" in name else 4)
-        axes.axvspan(0, header, alpha=0.1, lw=0)
+        axes.axvspan(0, 1e3 * slot_s * pwm.SLOTS * (2 if "no inverses" in name else 4), alpha=0.1, lw=0)
         axes.step(1e3 * slot_s * np.arange(flux.size), flux, where="post", color=plots.BLUE, lw=1)
         axes.set(ylim=(-0.05, 1.08), yticks=[0, 0.5, 1], xlim=(0, 24))
         axes.set_title(name, fontsize=9, loc="left")

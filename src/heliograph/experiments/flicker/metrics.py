@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 from heliograph.base.arrays import Floats
 
 SVM_LIMIT = 0.4  # largest SVM that the EU ecodesign rules allow; 1 is the threshold of an average observer
-
 MFTP_S = 5e-3  # maximum flickering time period of IEEE 802.15.7: shorter changes of the light are invisible
-
 LIMITED_HZ = 1250.0  # frequency at which the low-risk limit of IEEE 1789 reaches 100 %
 
 

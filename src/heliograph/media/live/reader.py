@@ -118,8 +118,7 @@ def film_path(text: str | os.PathLike[str]) -> Path:
     if not isinstance(text, (str, os.PathLike)):
         raise MediaError(f"a film's path is text or a pathlib.Path, not {shown(text)}")
     path = Path(text)
-    named_file = str(path).startswith(PREFIX) and not os.fspath(text).startswith(PREFIX)
-    return path.absolute() if named_file else path
+    return path.absolute() if str(path).startswith(PREFIX) and not os.fspath(text).startswith(PREFIX) else path
 
 
 def live_of(film: FilmReader) -> LiveReader | None:

@@ -24,8 +24,7 @@ def cubic_at_leds(image, x, y, axes, out):
         for v in range(side):
             along, down = v - 0.5 * (side - 1), u - 0.5 * (side - 1)
             px = along * axes[0, 0] + down * axes[0, 1] + x
-            py = along * axes[1, 0] + down * axes[1, 1] + y
-            out[u, v] = _cubic(image, px, py, wx, wy)
+            out[u, v] = _cubic(image, px, along * axes[1, 0] + down * axes[1, 1] + y, wx, wy)
 
 
 @compiled()

@@ -135,7 +135,6 @@ ArrayKey = tuple[int, Orientation, int]
 """Identity, orientation and number of an array; the number distinguishes arrays of equal identity, as after a loss."""
 
 MAX_ARRAYS = 64  # arrays in a decoder, more than are in view: 1 MB each with 16 x 16 LEDs
-
 MAX_BUFFERS = 32  # soft buffers in a decoder, by identity and orientation: more than identities exist
 
 

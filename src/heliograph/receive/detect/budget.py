@@ -17,7 +17,6 @@ from heliograph.base.frames import Frame
 from heliograph.receive.detect.alternation import Blocks, Change
 
 WORK_PER_MS = 180_000.0  # work in a ms of the reference machine; the unit is a place of the coarse search
-
 FIT_WORK = 200_000.0  # work of a candidate's fit
 
 

@@ -81,8 +81,7 @@ class _PairEvidence:
         match = a @ self.matched + self.cross + word @ (b * self.matched)
         linear = word @ (2 * b * (self.gram @ a + self.offset))
         squares = np.einsum("fi,fi->f", word @ (b[:, None] * self.gram * b), word)
-        constant = a @ (self.gram @ a + 2 * self.offset) + self.offset_power
-        return np.stack([match, constant + linear + squares])
+        return np.stack([match, (a @ (self.gram @ a + 2 * self.offset) + self.offset_power) + linear + squares])
 
     def estimate_brightness(self, cells: Floats, gain: float) -> Floats:
         """Estimate the brightness (16,) of each cell, 0 or more, from a pair with no dimmed cells."""

@@ -8,7 +8,6 @@ from heliograph.base.arrays import TINY
 from heliograph.base.compiled import compiled
 
 BLOCK_PX = 8  # pixels of a side of a block: the smallest array
-
 SINGLE_ERROR = 1e-5  # largest relative error of a product of 16 numbers in single precision, with a margin
 
 

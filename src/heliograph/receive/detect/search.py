@@ -15,7 +15,7 @@ import numpy as np
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame, Pixels
-from heliograph.receive.detect.alternation import DETECT, Blocks, Change, SearchParameters
+from heliograph.receive.detect.alternation import DETECT, Blocks, SearchParameters
 from heliograph.receive.detect.budget import NoveltyFilter, SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import Detection, is_sending_before
 from heliograph.receive.detect.detector import Detector, HalfPeriodDetector
@@ -201,16 +201,17 @@ class PyramidSearch:
 
         The alternation is reduced instead of the frames, and only about the chosen blocks of those that alternate.
         """
-        area = alternating * BLOCK_PX**2
         # half of the columns and half of the rows of an array are visible
-        max_level = sum(area >= 0.25 * side**2 for side in self._smallest_px)
+        max_level = sum((alternating * BLOCK_PX**2) >= 0.25 * side**2 for side in self._smallest_px)
         if not max_level:
             return 0
         changes = [change.pixels for change, _ in self._finest.regions(slots, busy, 32.0)]
         min_change = self._min_contrast * first_present(slots).full_scale
         for level in range(max_level):
             changes = [np.asarray(cv2.pyrDown(change), np.float32) for change in changes]
-            if all(_max_block_mean(change) <= min_change for change in changes):
+            # mean magnitudes of blocks about each pixel
+            means = (cv2.blur(np.abs(change), (BLOCK_PX,) * 2, borderType=cv2.BORDER_CONSTANT) for change in changes)
+            if all(mean.max() <= min_change for mean in means):
                 return level
         return max_level
 
@@ -263,11 +264,6 @@ def _without_skipped(skipped: Blocks, searched: Blocks, slots: FrameWindow, redu
         # the common part of all frames may be smaller on a level, by some pixels of a rim
         out[np.clip(down, 0, out.shape[0] - 1), np.clip(across, 0, out.shape[1] - 1)] = value
     return out
-
-
-def _max_block_mean(change: Change) -> float:
-    """Return the largest mean magnitude of a block about a pixel."""
-    return float(cv2.blur(np.abs(change), (BLOCK_PX, BLOCK_PX), borderType=cv2.BORDER_CONSTANT).max())
 
 
 def _key(frame: Frame) -> tuple[object, ...]:

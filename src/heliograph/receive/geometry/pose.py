@@ -32,8 +32,7 @@ class Orientation:
     def matrix(self) -> NDArray[np.float64]:
         """Signed permutation (2, 2) that maps a vector (x, y) of the upright image to the turned image."""
         mirror = np.diag([-1.0 if self.mirrored else 1.0, 1.0])
-        quarter = np.array([[0.0, -1.0], [1.0, 0.0]])
-        return np.asarray(np.linalg.matrix_power(quarter, self.turns) @ mirror)
+        return np.asarray(np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), self.turns) @ mirror)
 
     def turned(self, image: NDArray[Any]) -> NDArray[Any]:
         """Turn an upright image as the camera sees it."""

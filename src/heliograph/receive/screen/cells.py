@@ -55,9 +55,7 @@ class SearchBudget:
 
 
 S = 6  # samples along the side of a cell: a blur of a third of a cell is represented to 1 %
-
 RIM_CELLS = 1  # Width of the ring around the array in cells; the light of the ring leaks into the array
-
 PIXEL_SAMPLES = 0.05  # work of a pixel in samples
 
 

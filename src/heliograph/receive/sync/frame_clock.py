@@ -11,7 +11,6 @@ from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 
 STEP_TOLERANCE = 0.02  # maximum relative deviation of the frame rate from the pattern rate of a synchronous camera
-
 FIRST_FRAMES = 16  # frames for the first estimate of the frame rate: 0.3 % at a jitter of 5 %
 
 

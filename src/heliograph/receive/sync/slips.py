@@ -26,9 +26,7 @@ from heliograph.signal.settings import SignalSettings
 PoseAt = Callable[[float], Pose]  # predicted pose of the array at a time in seconds
 
 MAX_EVEN = 0.4  # maximum epsilon of an even pair: 4 standard deviations below epsilon of 60 independent LEDs
-
 MIN_CORRELATION = 0.7  # minimum correlation of each frame of a header: 5 standard deviations of random data
-
 MAX_TIME_ERROR = 0.2  # maximum deviation from a synchronous frame time in T_b: epsilon is then 0.08 or less
 
 

@@ -48,10 +48,6 @@ class FountainCode:
         return aligned and 0 < length <= min(self.max_bytes, size << 15)
 
 
-def _decode_cauchy(symbols: Mapping[int, bytes], length: int, size: int) -> bytes:
-    return cauchy.decode(symbols, -(-length // size))
-
-
 class RaptorEncoder:
     """Symbol encoder for a file; raise a HeliographError if the package `raptorq` is not installed."""
 
@@ -86,7 +82,15 @@ def _package() -> Any:
 
 
 CODES: Mapping[CodeName, FountainCode] = {
-    "cauchy": FountainCode(0, 2, 2, (1 << 24) - 1, cauchy.NUMBERS, cauchy.CauchyEncoder, _decode_cauchy),
+    "cauchy": FountainCode(
+        0,
+        2,
+        2,
+        (1 << 24) - 1,
+        cauchy.NUMBERS,
+        cauchy.CauchyEncoder,
+        lambda symbols, length, size: cauchy.decode(symbols, -(-length // size)),
+    ),
     # the package aligns symbols to 8 bytes, and splits symbols below 64 bytes and files from 10 MiB on
     "raptorq": FountainCode(1, 8, 64, 1 << 23, 1 << 24, RaptorEncoder, _decode_raptor),
 }
