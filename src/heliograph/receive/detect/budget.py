@@ -64,23 +64,15 @@ class NoveltyFilter:
 
 
 class SearchLoad(NamedTuple):
-    """Work of the searches, with the skipped candidates and blocks.
+    """Work of the searches, with the skipped candidates and blocks."""
 
-    Attributes
-    ----------
-    fitted
-        Fitted candidates.
-    dropped
-        Candidates with no fit or fewer fits, for want of work.
-    blocks
-        Busy blocks of 8 x 8 pixels skipped for want of work.
-    work
-        Work done, in places of the coarse search.
-    """
-
+    #: Fitted candidates.
     fitted: int = 0
+    #: Candidates with no fit or fewer fits, for want of work.
     dropped: int = 0
+    #: Busy blocks of 8 x 8 pixels skipped for want of work.
     blocks: int = 0
+    #: Work done, in places of the coarse search.
     work: float = 0.0
 
     @property
