@@ -266,11 +266,12 @@ def write_page(
     if path.with_name("replay.html").exists():
         page.link("replay.html", "Replay: every moment of the reception, with a short tour")
     if moving:
+        has_lights = any("road" in message_row(message) for message in messages)
         page.heading("The received drive")
         page.picture(
             moving,
             "Packet by packet: the frame, the tracked array, the picture in the low layer. Below: distance, share of "
-            f"codewords read in the last {RECENT} packets by layer, countdown of the signals.",
+            f"codewords read in the last {RECENT} packets by layer{', countdown of the signals' * has_lights}.",
         )
     if cuts:
         page.heading("What the camera saw")
@@ -317,7 +318,9 @@ def _badges(counts: Mapping[str, Any], reception: ReceptionCounter) -> Iterator[
 def _show_messages(page: Report, messages: Sequence[Message], reception: ReceptionCounter) -> None:
     """Show road messages, the best version of each picture, texts, and the progress of incomplete messages."""
     page.heading("What arrived")
-    rows = [(message, road_values(message.data)) for message in messages]
+    # messages repeat
+    unique = {(message.identity, message.layer, message.data): message for message in messages}
+    rows = [(message, road_values(message.data)) for message in unique.values()]
     for identity in sorted({message.identity for message in messages}):
         _show_road(page, identity, [values for message, values in rows if values and message.identity == identity])
     pictures = [message for message in messages if is_picture(message.data)]
@@ -394,7 +397,10 @@ def _show_errors(page: Report, receiver: str, reception: ReceptionCounter) -> No
     for start, layers in bins.items():
         row = [f"{start:.0f}-{start + BIN_M:.0f} m"]
         for e in layers.values():
-            row += [f"{e.decoded_bits.text()} of {e.bits}", f"{e.codeword_errors} of {e.codewords}"]
+            row += [
+                f"{e.decoded_bits.text()}{f' in {e.bits} bits' if e.bits else ''}",
+                f"{e.codeword_errors} of {e.codewords}",
+            ]
         rows.append(row)
     page.table(head, rows)
     page.text(
