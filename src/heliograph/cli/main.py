@@ -73,7 +73,7 @@ def main(
             metavar="FILE", help="Python file that registers custom parts, such as a receiver; may be repeated."
         ),
     ] = None,
-    version: Annotated[  # noqa: ARG001 - a callback
+    version: Annotated[  # noqa: ARG001 - the callback handles the option
         bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=print_version)
     ] = False,
 ) -> None:

@@ -122,7 +122,7 @@ class FormatReader:
             self._evidence[0] = self._pair_evidence(1.0, *self._first, led_gains)
 
     def add_frames(self, header: MeasuredHeader, led_gains: Floats) -> None:
-        """Replace the pairs by the frames of a header out of step, none of which is known to show no dimmed cells."""
+        """Replace the pairs by the frames of a header out of step: any of them may show dimmed cells."""
         a = cell_images(led_gains, header.pose, header.corner, header.images.shape[1:])
         gram, matched = a @ a.T, header.images.reshape(len(header.images), -1) @ a.T
         # v_k = light + alternation / 2 of +-1
