@@ -78,6 +78,7 @@ def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
             if camera.gain_swing or camera.white_balance_swing:
                 light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))
             pixels = read_out(light, settings.sensor, scene.seed, index, (x, y))
+            pixels.setflags(write=False)  # receivers copy writable pixels
             stamp_s = camera.start_s + index / camera.fps + float(block.late_s[k])
             delivered = transfer(Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y)))
             if delivered is not None:
