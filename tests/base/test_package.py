@@ -32,7 +32,7 @@ def test_public_names_stay_the_same_and_need_no_extra() -> None:
 for n in h.__all__: assert getattr(h, n) is getattr(h, n) and callable(getattr(h, n)) and getattr(h, n).__doc__, n
 try: h.sweep({})
 except h.HeliographError as error: print(error)"""
-    assert run(code) == "a Dataset needs xarray: pip install xarray pandas h5netcdf"
+    assert run(code) == "a Dataset needs xarray: pip install 'heliograph[analysis]'"
 
 
 def test_package_has_a_version_and_no_other_names() -> None:

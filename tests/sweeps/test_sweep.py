@@ -384,7 +384,7 @@ def test_units_follow_from_names(key: str, unit: str) -> None:
 
 def test_missing_library_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(HeliographError, match=r"pip install 'dask\[distributed\]'"):
+    with pytest.raises(HeliographError, match=r"pip install 'heliograph\[cluster\]'"):
         executors.open_workers(None, "tcp://127.0.0.1:8786")
 
 

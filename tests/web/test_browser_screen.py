@@ -17,6 +17,7 @@ from cli_runs import succeeded, within
 from playwright.sync_api import Browser, Page, Route, expect
 from screen_films import Phone, phone_frames, write_phone_film, write_webcam
 from screen_light import shown
+from waiting import wait_until
 from web_server import serving
 
 from heliograph.media import open_film
@@ -133,11 +134,15 @@ def test_code_opens_page_receive_on_a_phone(chromium: Browser, address: str) -> 
         serving(access=Access(LOOPBACK, token="secret"), phone_url=url) as served,
         quiet_page(chromium, f"{served}transmit#token=secret") as page,
     ):
-        page.wait_for_function("() => document.getElementById('code').naturalWidth > 0")
-        code = cv2.imdecode(np.frombuffer(page.locator("#code").screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
-        assert code is not None
-        assert cv2.QRCodeDetector().detectAndDecode(code)[0] == url
+        assert wait_until(lambda: read_code(page.locator("#code").screenshot())) == url
         check_accessibility(page)
+
+
+def read_code(screenshot: bytes) -> str:
+    """Return the text of a QR code, empty while the page still draws it."""
+    code = cv2.imdecode(np.frombuffer(screenshot, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert code is not None
+    return cv2.QRCodeDetector().detectAndDecode(code)[0]
 
 
 def test_likely_problem_is_shown_before_the_diagnosis(chromium: Browser, address: str, tmp_path: Path) -> None:

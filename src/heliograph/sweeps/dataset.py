@@ -62,7 +62,7 @@ def need_xarray() -> None:
     try:
         import xarray  # noqa: F401 - availability check
     except ImportError:
-        raise HeliographError("a Dataset needs xarray: pip install xarray pandas h5netcdf") from None
+        raise HeliographError("a Dataset needs xarray: pip install 'heliograph[analysis]'") from None
 
 
 def unit(key: str) -> str:

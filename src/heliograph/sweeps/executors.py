@@ -133,7 +133,7 @@ class Cluster(Workers):
         try:
             from distributed import Client
         except ImportError:
-            raise HeliographError("a Dask scheduler needs Dask: pip install 'dask[distributed]'") from None
+            raise HeliographError("a Dask scheduler needs Dask: pip install 'heliograph[cluster]'") from None
         if not re.fullmatch(r"\w+://.+:\d+", address):
             raise HeliographError(f"'{address}' is no address of a scheduler, such as tcp://127.0.0.1:8786")
         try:

@@ -29,8 +29,8 @@ def plot_rates(
     """Plot an error rate of a sweep over a key, a line for each layer and combination of the other keys.
 
     The colour is that of the layer, dashes and marker are those of the other keys. Measured rates have 95 % intervals.
-    An arrow is an upper bound for zero errors, and joins no line. A cross at the lower edge marks a point with no
-    received packet. Behind rates after the decoder, a dotted line is the bit error rate without a code.
+    A marker with an arrow is an upper bound for zero errors, and joins no line. A cross at the lower edge marks a point
+    with no received packet. Behind rates after the decoder, a dotted line is the bit error rate without a code.
 
     Parameters
     ----------
@@ -125,13 +125,17 @@ def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, colour: str,
     bound, found = part[f"{rate}_is_bound"].values.astype(bool), part["detected"].values > 0
     counted = ~np.isnan(y) & found
     marks, dashes = "osD^vP*X", ("-", "--", "-.", (0, (1, 1)))
-    style: dict[str, Any] = {"color": colour, "marker": marks[number % len(marks)], "ms": 5}
+    # larger and hollow, so that equal points of earlier lines stay visible
+    style: dict[str, Any] = {"color": colour, "marker": marks[number % len(marks)], "ms": 5 + 2.5 * number}
+    style["mfc"] = "none" if number else colour
     measured, bounds = counted & ~bound, counted & bound
     axes.plot(x[measured], y[measured], lw=1.2, ls=dashes[number % len(dashes)], label=label, **style)
     errors = [(y - low)[measured], (high - y)[measured]]
     axes.errorbar(x[measured], y[measured], errors, fmt="none", ecolor=colour, lw=1, alpha=0.4)
     if bounds.any():
-        axes.plot(x[bounds], high[bounds], color=colour, marker=ARROW, ms=8, ls="none", gid=BOUND)
+        below = 0.4 * high[bounds]
+        drawn = axes.errorbar(x[bounds], high[bounds], below, uplims=True, ls="none", elinewidth=0.8, **style)
+        drawn.lines[0].set_gid(BOUND)
     if (~found).any():
         edge = np.full((~found).sum(), 0.02)
         axes.plot(x[~found], edge, "x", color="k", gid=MISSED, transform=axes.get_xaxis_transform())
