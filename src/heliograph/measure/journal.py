@@ -137,7 +137,7 @@ def sentence(row: Row) -> str:
         return f"{array}: message {row['stream']} of the {row['layer']} layer is whole, {row['bytes']} bytes{road}"
     if row["event"] == "file":
         return f"{array}: {file_words(row)}"
-    when = f"{row['time_s']:.3f} s: {array}"
+    when = f"{row['time_s']:z.3f} s: {array}"
     if row["event"] == "lights":
         return f"{when} tells of " + "; ".join(
             f"junction {junction['id']}: {', '.join(map(group_words, junction['groups']))}"
@@ -163,7 +163,7 @@ def sentence(row: Row) -> str:
 
 def missed_words(row: Row) -> str:
     """Return a sentence about a lost packet before the first header of an array."""
-    first = f"before the first header found, at {row['time_s']:.3f} s"
+    first = f"before the first header found, at {row['time_s']:z.3f} s"
     return f"array {row['id']}: a packet began {first}; that packet is lost"
 
 
