@@ -59,6 +59,8 @@ _write_cli_reference()
 (HERE / "_extra").mkdir(exist_ok=True)
 (HERE / "_extra" / "replay.html").write_text(recorded_page(), encoding="utf-8")
 html_extra_path = ["_extra"]
+html_static_path = ["_static"]
+html_css_files = ["scheme.css"]
 
 ARRAY_LIKE = re.sub(r"~[\w.]*\.(\w+)", r"\1", stringify_annotation(ArrayLike, "smart"))
 """NumPy's definition of `ArrayLike`, as autodoc shows it."""

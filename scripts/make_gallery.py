@@ -33,7 +33,12 @@ NOTEBOOKS = {
 
 
 def save(picture: bytes, name: str) -> None:
-    """Write a small WebP; lossless if it is small enough."""
+    """Write a plot as it is, another picture as a small WebP, lossless if it is small enough."""
+    path = DOCS / "pictures" / name
+    if picture.startswith(b"<?xml"):
+        path.with_suffix(".svg").write_bytes(picture)
+        path.with_suffix(".webp").unlink(missing_ok=True)
+        return
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     if image.width > MAX_WIDTH:
         image = image.resize((MAX_WIDTH, round(image.height * MAX_WIDTH / image.width)), Image.Resampling.LANCZOS)
@@ -44,7 +49,7 @@ def save(picture: bytes, name: str) -> None:
             break
     if len(out.getvalue()) > MAX_BYTES:
         raise ValueError(f"{name} has {len(out.getvalue())} bytes, more than {MAX_BYTES}")
-    (DOCS / "pictures" / f"{name}.webp").write_bytes(out.getvalue())
+    path.with_suffix(".webp").write_bytes(out.getvalue())
 
 
 def notebook_picture(name: str, number: int) -> bytes:
@@ -57,13 +62,13 @@ def notebook_picture(name: str, number: int) -> bytes:
 
 def main(demo: Path, reproduction: Path) -> None:
     if (report := demo / "report.html").is_file():
-        found = re.findall(r'src="data:image/\w+;base64,([^"]+)"', report.read_text())
+        found = re.findall(r'src="data:image/[\w+]+;base64,([^"]+)"', report.read_text())
         if len(found) != len(DEMO):
             raise ValueError(f"{report} has {len(found)} pictures, not {len(DEMO)}: adapt the list DEMO")
         for name, text in zip(DEMO, found, strict=True):
             if name:
                 save(base64.b64decode(text), name)
-    for path in sorted(reproduction.glob("*-[0-9].png")):
+    for path in sorted(reproduction.glob("*-[0-9].svg")):
         save(path.read_bytes(), path.stem.replace("soft-", "reproduce-soft-"))
     for name, place in NOTEBOOKS.items():
         save(notebook_picture(*place), name)

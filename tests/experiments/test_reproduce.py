@@ -36,10 +36,10 @@ def test_report_pictures_and_data(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["reproduce", "fig5", "table1", "--quick", "--output", str(tmp_path)])
     assert result.exit_code == 0, result.output
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "data:image/png;base64," in page
+    assert "data:image/svg+xml;base64," in page
     assert "http" not in page
     assert "A quick run" in page
-    assert (tmp_path / "fig5-1.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "fig5-1.svg").read_bytes().startswith(b"<?xml")
     findings = json.loads((tmp_path / "tables.json").read_text())["findings"]
     assert {f["verdict"] for f in findings} <= {"holds", "differs", "shown"}
     assert all(f["claim"] in unescape(page) for f in findings)
@@ -100,7 +100,7 @@ def test_an_interrupted_run_keeps_results_and_continues(tmp_path: Path, monkeypa
         assert result.text == "text More."
         assert (result.findings, result.tables, result.data) == (MADE.findings, MADE.tables, MADE.data)
         ((picture, caption),) = result.drawn
-        assert picture.startswith(b"\x89PNG")
+        assert picture.startswith(b"<?xml")
         assert caption == "a picture"
     content = pages[0].read_bytes()
     assert b"Not run yet" not in content
@@ -121,7 +121,7 @@ def test_other_or_damaged_results_are_not_reused(change: str, tmp_path: Path, mo
     elif change == "code":
         monkeypatch.setattr(book, "build", lambda: "0.0.0")
     elif change == "picture":
-        (tmp_path / "fig5-1.png").unlink()
+        (tmp_path / "fig5-1.svg").unlink()
     else:
         (tmp_path / "fig5.json").write_text({"json": "{", "no mapping": "[1]"}[change])
     assert "fig5" not in book.done_before(KEYS, context, tmp_path)

@@ -161,7 +161,7 @@ def test_background_noise_replaces_the_noise_of_saturated_leds(found: Findings) 
 def test_page_shows_the_film_and_its_arrays_in_one_file(found: Findings, tmp_path: Path) -> None:
     write_page(tmp_path / "probe.html", found)
     page = (tmp_path / "probe.html").read_text()
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/svg+xml;base64,") == 3
     # table of contents links stay within the page
     assert not re.findall(r"""(?:src|href)=["']?(?!["']?data:|#part-)""", page)
     for text in ("Read with the settings as they are: array 0 (upright)", "130 frames of 160x120 px", "stamps",

@@ -9,6 +9,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from heliograph.measure.counts import LayerCounts
@@ -20,22 +21,24 @@ from heliograph.sweeps.plot import ARROW, BOUND, LAYER_COLOURS, legend_entries
 BLUE, ORANGE, GREEN = LAYER_COLOURS.values()
 RED, DARK_GRAY, GRAY = "#c0392b", "#4a5056", "#8a929b"
 
+# the ink of the style, and black, become light on dark pages
+_DARK_STYLE = """<style>@media (prefers-color-scheme: dark) {
+[style*="stroke: #333333"], [style*="stroke: #000000"] { stroke: #d5dae0 !important }
+[style*="fill: #333333"], [style*="fill: #000000"] { fill: #d5dae0 !important }
+}</style>"""
+
 styled = mpl.rc_context(fname=Path(__file__).with_name("plots.mplstyle"))
 """Decorator of functions that draw or save a figure in the common style."""
 
 
-def tidy(axes: Axes) -> None:
-    """Remove the upper and right spine of axes drawn in another style, and add the grid."""
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25, lw=0.6)
-
-
 @styled
-def figure_png(figure: Figure) -> bytes:
-    """PNG file of a figure."""
-    out = io.BytesIO()
-    figure.savefig(out, format="png")
-    return out.getvalue()
+def figure_svg(figure: Figure) -> bytes:
+    """SVG file of a figure for light and dark pages, with long lines as images."""
+    for line in figure.findobj(lambda artist: isinstance(artist, Line2D) and np.size(artist.get_xdata()) > 1000):
+        line.set_rasterized(True)
+    out = io.StringIO()
+    figure.savefig(out, format="svg", metadata={"Date": None})
+    return out.getvalue().replace("<defs>", f"{_DARK_STYLE}<defs>", 1).encode()
 
 
 def legend_below(figure: Figure, columns: int = 6) -> None:
@@ -62,9 +65,10 @@ def image_row(images: Sequence[NDArray[Any]], titles: Sequence[str], rows: int =
 def frame_with_array(pixels: NDArray[Any], x: float, y: float, half: float, title: str, largest: float = 255) -> Figure:
     """Frame with the array marked, and an enlarged view of the array."""
     figure = Figure(figsize=(10, 3.6))
-    frame, detail = figure.subplots(1, 2, width_ratios=(2.2, 1), subplot_kw={"xticks": [], "yticks": []})
+    frame, detail = figure.subplots(1, 2, width_ratios=(2.2, 1))
     for axes in (frame, detail):
         axes.imshow(pixels, vmin=0, vmax=largest)
+        axes.set_axis_off()
     mark_square(frame, x, y, half)
     frame.set_title(title)
     detail.set(xlim=(x - half, x + half), ylim=(y + half, y - half), title="the array")

@@ -68,7 +68,7 @@ class ExperimentResult:
     tables: Sequence[Table] = ()
     # Numbers of figures and tables as plain values for JSON
     data: Mapping[str, Any] = field(default_factory=dict)
-    # PNG files of the figures with captions, as in the report
+    # SVG files of the figures with captions, as in the report
     drawn: Sequence[tuple[bytes, str]] = ()
 
 
@@ -149,13 +149,13 @@ class Report:
 
     def figure(self, figure: "Figure", caption: str) -> None:
         """Add a plot."""
-        from heliograph.experiments.plots import figure_png  # Matplotlib is slow to import
+        from heliograph.experiments.plots import figure_svg  # Matplotlib is slow to import
 
-        self.picture(figure_png(figure), caption)
+        self.picture(figure_svg(figure), caption)
 
     def picture(self, image: bytes, caption: str) -> None:
-        """Add a PNG or WebP file."""
-        kind = "webp" if image.startswith(b"RIFF") else "png"
+        """Add an SVG, PNG or WebP file."""
+        kind = {b"RIFF": "webp", b"\x89PNG": "png"}.get(image[:4], "svg+xml")
         data = base64.b64encode(image).decode()
         self._parts.append({"kind": "picture", "format": kind, "data": data, "caption": caption})
 

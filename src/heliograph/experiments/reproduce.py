@@ -104,7 +104,7 @@ def run_experiment(key: str, context: Context) -> ExperimentResult:
     result: ExperimentResult = plots.styled(module.run)(context)
     # the description is the docstring of the module after the summary
     description = (module.__doc__ or "").partition("\n\n")[2]
-    drawn = [(plots.figure_png(figure), caption) for figure, caption in result.pictures]
+    drawn = [(plots.figure_svg(figure), caption) for figure, caption in result.pictures]
     return replace(result, key=key, title=title, text=f"{result.text} {description}".strip(), pictures=(), drawn=drawn)
 
 
@@ -172,7 +172,7 @@ def _run_identity(context: Context) -> dict[str, Any]:
 def _write_result(folder: Path, result: ExperimentResult, run: Mapping[str, Any]) -> None:
     """Write pictures and data; the data file comes last, as the mark of a complete result."""
     for number, (picture, _) in enumerate(result.drawn, 1):
-        write_whole(folder / f"{result.key}-{number}.png", picture)
+        write_whole(folder / f"{result.key}-{number}.svg", picture)
     plain = asdict(replace(result, drawn=()))
     fields = {name: plain[name] for name in ("title", "findings", "data", "text", "tables")}
     content = {**fields, "captions": [caption for _, caption in result.drawn], "run": run}
@@ -186,7 +186,7 @@ def _read_result(folder: Path, key: str, run: Mapping[str, Any]) -> ExperimentRe
         if content["run"] != run:
             return None
         captions = [str(caption) for caption in content["captions"]]
-        pictures = [(folder / f"{key}-{number}.png").read_bytes() for number in range(1, len(captions) + 1)]
+        pictures = [(folder / f"{key}-{number}.svg").read_bytes() for number in range(1, len(captions) + 1)]
         return ExperimentResult(
             key=key,
             title=content["title"],

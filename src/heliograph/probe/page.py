@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from heliograph.base.errors import counted
 from heliograph.base.files import shown_name
 from heliograph.base.frames import Frame
-from heliograph.experiments.plots import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, RED, tidy
+from heliograph.experiments.plots import BLUE, DARK_GRAY, GRAY, GREEN, ORANGE, RED, styled
 from heliograph.experiments.report import Report
 from heliograph.probe.activity import Stretch
 from heliograph.probe.causes import RegionReport
@@ -40,7 +40,7 @@ def frame_picture(stretch: Stretch, reports: Sequence[RegionReport]) -> Figure:
         _mark(axes, report, number, report.region.box_at(len(stretch.frames) // 2, len(stretch.frames)))
     axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="x (px)", ylabel="y (px)")
     axes.set_title(f"frame {frame.index}", fontsize=10)
-    figure.tight_layout()
+    axes.grid(False)
     return figure
 
 
@@ -87,7 +87,7 @@ def region_picture(stretch: Stretch, report: RegionReport) -> Figure:
     ]
     for column, (image, title, colours, low, high) in enumerate(images):
         axes = figure.add_subplot(grid[0, column])
-        axes.imshow(image, cmap=colours, vmin=low, vmax=max(high, low + 1e-6), interpolation="nearest")
+        axes.imshow(image, cmap=colours, vmin=low, vmax=max(high, low + 1e-6))
         axes.set_title(title, fontsize=9)
         axes.set_axis_off()
     axes, numbers = figure.add_subplot(grid[1, :]), np.array([frame.index for frame in frames])
@@ -97,10 +97,8 @@ def region_picture(stretch: Stretch, report: RegionReport) -> Figure:
         step = max(report.rate.frames, 1.0) if report.rate is not None else 1.0
         starts = [numbers[min(round(start * step), count - 1)] for start in report.header.starts]
         axes.vlines(starts, *axes.get_ylim(), color=GREEN, lw=1.1, ls="--", label="a header begins")
-    tidy(axes)
     axes.set(xlabel="frame", ylabel="gray level", xlim=(numbers[0], max(numbers[-1], numbers[0] + 1)))
-    axes.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3)
-    figure.tight_layout()
+    axes.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=3)
     return figure
 
 
@@ -114,9 +112,7 @@ def noise_picture(noise: NoiseEstimate) -> Figure:
         ends = np.array([0.0, levels.max()])
         axes.plot(ends, [noise.variance_at(level) or 0.0 for level in ends], color=DARK_GRAY, lw=1, label="fitted line")
     axes.set(xlabel="gray level", ylabel="variance of a pixel", ylim=(0, 1.15 * variances.max()))
-    axes.legend(frameon=False, fontsize=8, loc="lower right")
-    tidy(axes)
-    figure.tight_layout()
+    axes.legend(fontsize=8, loc="lower right")
     return figure
 
 
@@ -126,6 +122,7 @@ def _white(frame: Frame, brightest: float | None = None) -> float:
     return max(min(1.2 * limit, float(frame.full_scale)), 0.04 * frame.full_scale)
 
 
+@styled
 def write_page(path: Path, found: Findings) -> None:
     """Write the page atomically."""
     page = Report(f"Probe of {shown_name(found.path)}")

@@ -474,7 +474,7 @@ def _rates_plot(rates: Rates) -> Figure:
 def _ratio_plot(comparisons: Sequence[Comparison]) -> Figure:
     figure = Figure(figsize=(9, 3.6))
     axes = figure.add_subplot(xlabel="distance (m)", ylabel="driving / static", yscale="log", ylim=(0.2, 5))
-    axes.axhspan(1 / MARGIN, MARGIN, color="whitesmoke", zorder=0)
+    axes.axhspan(1 / MARGIN, MARGIN, color=plots.GRAY, alpha=0.12, lw=0, zorder=0)
     axes.axhline(1, color="lightgray", lw=1, zorder=1)
     for k, name in enumerate(LAYERS):
         rows = [
