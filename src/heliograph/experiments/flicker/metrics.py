@@ -68,9 +68,10 @@ def measure(flux: ArrayLike, slot_s: float) -> Flicker:
 def spectrum(flux: ArrayLike, slot_s: float) -> Spectrum:
     """Fourier components up to 2 kHz of a periodic light with constant flux in each slot, excluding the mean."""
     f = np.asarray(flux, float)
-    hz = np.arange(1, int(2000.0 * f.size * slot_s + 1e-9) + 1) / (f.size * slot_s)
+    k = np.arange(1, int(2000.0 * f.size * slot_s + 1e-9) + 1)
+    hz = k / (f.size * slot_s)
     # a constant slot gives c_k = DFT_k / N sinc(f slot); the DFT continues periodically
-    held = np.abs((np.fft.fft(f) / f.size)[np.arange(1, hz.size + 1) % f.size] * np.sinc(hz * slot_s))
+    held = np.abs(np.fft.fft(f)[k % f.size] / f.size * np.sinc(hz * slot_s))
     return Spectrum(hz, 2 * held / max(float(f.mean()), 1e-12))
 
 
