@@ -1,17 +1,22 @@
 """Codewords received in fixed scenarios: the reference table for receiver changes.
 
     python -m benchmarks.behaviour [SCENARIO ...] [--write | --films N] [--workers 2]
+    python -m benchmarks.behaviour 1080p --payload
 
 Fixed seeds define the films, and all receivers in a scenario read the same frames. The table lists correct and sent
 codewords per layer, undetected errors and false packets. If a count differs from `benchmarks/behaviour.csv`, the
 reference follows in brackets. The exit status is 1 if a count lies outside the reference's 95 % interval. --write
-replaces the reference. --films changes the number of films per scenario and disables the comparison.
+replaces the reference. --films changes the number of films per scenario and disables the comparison. Films in 1080p
+run only if named. --payload prints films with all codewords, payload per second of the packets in the films, and
+processor time of the receiver per second of film instead.
 """
 
 import argparse
 import csv
 import os
 import sys
+import tempfile
+import time
 import zlib
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -35,6 +40,8 @@ from heliograph.link.truth import FrameTruth
 from heliograph.measure.bench import block_settings, dithered, random_messages, window_margin_px
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.measure.statistics import clopper_pearson
+from heliograph.media import create_film, open_film
+from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 
 REFERENCE = Path(__file__).with_suffix(".csv")
@@ -68,7 +75,23 @@ def render(film: Film, seed: int) -> RenderedFilm:
         (film.alter(frame, truth) if film.alter else frame, _frame_truth(truth))
         for frame, truth in simulate(settings, messages, seed, film.recordings, margin)
     ]
+    if film.mbit_s is not None:
+        frames = compress(frames, settings, film.mbit_s)
     return RenderedFilm(frames, settings, messages)
+
+
+def compress(
+    frames: Sequence[tuple[Frame, FrameTruth]], settings: LinkSettings, mbit_s: float
+) -> list[tuple[Frame, FrameTruth]]:
+    """Write frames as H.264 and read them."""
+    camera = settings.channel.camera
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        with create_film(path, width=camera.width, height=camera.height, rate_hz=camera.fps, mbit_s=mbit_s) as out:
+            for frame, _ in frames:
+                out.write(frame)
+        with open_film(path) as film:
+            return [(frame, replace(truth, index=frame.index)) for frame, (_, truth) in zip(film, frames, strict=True)]
 
 
 def _frame_truth(truth: Truth) -> FrameTruth:
@@ -92,7 +115,9 @@ def count(name: str, number: int) -> dict[str, Row]:
     for receiver in one.receivers:
         settings = replace(rendered.settings, receive=replace(rendered.settings.receive, receiver=receiver))
         reception = ReceptionCounter(rendered)
+        start_s = time.process_time()
         deque(receive_and_count(rendered, settings.signal, settings, reception), maxlen=0)
+        decode_s = time.process_time() - start_s
         errors = reception.errors
         assert errors is not None  # ground truth is available
         row = {"undetected errors": errors.false_codewords, "foreign packets": errors.false_packets}
@@ -100,8 +125,22 @@ def count(name: str, number: int) -> dict[str, Row]:
             counts = [layers[layer] for layers in errors.bins().values()]
             row[f"{layer} sent"] = sum(of.codewords for of in counts)
             row[f"{layer} right"] = sum(of.codewords - of.codeword_errors for of in counts)
+        row |= measure_payload(rendered, errors.detected()[0], row) | {"decode ms": round(1000 * decode_s)}
         rows[receiver] = row
     return rows
+
+
+def measure_payload(film: RenderedFilm, packets: int, row: Row) -> Row:
+    """Return films with all codewords, payload in correct codewords, and durations of packets and film in ms."""
+    signal, formats, times_s = film.settings.signal, film.settings.transmit.formats, [f.time_s for f in film]
+    layers = PacketFormat(signal, *formats[:1]).layers
+    return {
+        "films": 1,
+        "complete films": int(packets > 0 and all(row[f"{layer} sent"] == row[f"{layer} right"] for layer in LAYERS)),
+        "payload bytes": sum(form.payload_bytes * row[f"{layer} right"] for layer, form in layers.items()),
+        "packets ms": round(1000 * packets * signal.packet_s),
+        "film ms": round(1000 * (times_s[-1] - times_s[0])),
+    }
 
 
 def run(names: Iterable[str], workers: int, count_films: int | None) -> Iterator[tuple[str, str, Row]]:
@@ -145,19 +184,36 @@ def format_row(name: str, receiver: str, row: Row, before: Row) -> str:
     return f"| {name} | {receiver} | {' | '.join([*layers, *map(cell, FAULTS)])} |"
 
 
+def format_payload(name: str, receiver: str, row: Row) -> str:
+    """Format a Markdown table row of the payload."""
+    right, sent = (sum(row[f"{layer} {part}"] for layer in LAYERS) for part in ("right", "sent"))
+    rate = 1000 * row["payload bytes"] / max(row["packets ms"], 1)
+    films, ratio = f"{row['complete films']}/{row['films']}", row["decode ms"] / max(row["film ms"], 1)
+    return f"| {name} | {receiver} | {films} | {right}/{sent} | {rate:.0f} | {ratio:.2f} |"
+
+
 def main() -> int:
     """Print the table; return 1 if a row differs from the reference."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="beginnings of names; default: all")
     parser.add_argument("--write", action="store_true")
     parser.add_argument("--films", type=int, help="films of each scenario, instead of those of the reference")
+    parser.add_argument("--payload", action="store_true")
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     if given.write and given.films:
         parser.error("--write keeps the reference's own films: leave out --films")
-    names = [name for name in SCENARIOS if not given.scenarios or name.startswith(tuple(given.scenarios))]
+    named = tuple(given.scenarios)
+    names = [name for name in SCENARIOS if name.startswith(named or "") and (named or not name.startswith("1080p"))]
     reference = read_reference() if REFERENCE.exists() and not given.films else {}
-    print(f"| scenario | receiver | {' | '.join(LAYERS)} | {' | '.join(FAULTS)} |\n|{'---|' * 7}")
+    columns = (
+        ["complete films", "codewords", "payload bytes/s", "decode s/film s"] if given.payload else [*LAYERS, *FAULTS]
+    )
+    print(f"| scenario | receiver | {' | '.join(columns)} |\n|{'---|' * (2 + len(columns))}")
+    if given.payload:
+        for name, receiver, row in run(names, given.workers, given.films):
+            print(format_payload(name, receiver, row), flush=True)
+        return 0
     found, total, outside = dict(reference), {"sent": 0, "right": 0, "before": 0}, []
     for name, receiver, row in run(names, given.workers, given.films):
         before = reference.get((name, receiver), {})

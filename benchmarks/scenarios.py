@@ -14,6 +14,7 @@ from heliograph.base.frames import Frame
 from heliograph.channel import Truth
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, load_footage, load_imu
+from heliograph.signal.settings import LAYERS
 
 DATA = Path(os.environ.get("HELIOGRAPH_DATA", Path(__file__).parents[2] / "shared" / "data"))
 ARRAY = "channel.arrays.0."
@@ -33,6 +34,8 @@ class Film:
     alter: Alter | None = None
     recordings: Recordings | None = None
     whole_frames: bool = False
+    # H.264 bit rate; None for uncompressed frames
+    mbit_s: float | None = None
     repeated_messages: bool = False
 
 
@@ -110,8 +113,8 @@ def draw_passage(rng: Generator) -> tuple[LinkSettings, Post, int]:
     return load_settings("paper", {"channel": channel}), post, int(rng.integers(2**31))
 
 
-def draw_phone(preset: str, rng: Generator) -> LinkSettings:
-    """Draw settings for a phone filming a screen."""
+def draw_phone(preset: str, rng: Generator, **changes: Any) -> LinkSettings:
+    """Draw settings for a phone filming a screen; `changes` replace drawn values."""
     base = load_settings(preset)
     fps, period = base.channel.camera.fps, base.signal.pattern_period_s
     side = float(np.exp(rng.uniform(*np.log((50.0, 800.0)))))
@@ -171,7 +174,35 @@ def draw_phone(preset: str, rng: Generator) -> LinkSettings:
         "channel.emitter.colour": _tinted(rng),
         "channel.background.colour": _tinted(rng),
     }
-    return load_settings(preset, None, [f"{key}={value}" for key, value in values.items()])
+    return load_settings(preset, None, [f"{key}={value}" for key, value in (values | changes).items()])
+
+
+def draw_near_phone(side: int, fps: int, rng: Generator) -> Film:
+    """Draw a 1080p film of a near screen with many cells: 30 degrees of tilt, glare, H.264."""
+    focal_px = 0.75 * 1920
+    distance = 0.32 * focal_px / rng.uniform(650, 850)
+    settings = draw_phone(
+        {30: "phone-15", 60: "phone-60"}[fps],
+        rng,
+        **{f"transmit.formats.0.{layer}": "3/4" for layer in LAYERS},
+        **{
+            "signal.side": side,
+            "channel.distance_m": distance,
+            "channel.emitter.pitch_m": 0.32 / side,
+            "channel.emitter.diameter_m": 0.08 / side,
+            "channel.arrays.0.x_m": rng.uniform(-0.1, 0.1) * distance,
+            "channel.arrays.0.y_m": 0.0,
+            "channel.arrays.0.yaw_deg": rng.uniform(-30, 30),
+            "channel.arrays.0.pitch_deg": rng.uniform(-30, 30),
+            "channel.arrays.0.roll_deg": rng.uniform(-4, 4),
+            "channel.camera.width": 1920,
+            "channel.camera.height": 1080,
+            "channel.camera.pixel_m": 0.004 / focal_px,
+            "channel.camera.row_time_s": min(rng.uniform(0.005, 0.03), 0.98 / fps) / 1080,
+            "channel.emitter.panel_level": rng.uniform(0.005, 0.1),
+        },
+    )
+    return Film(settings, None, whole_frames=True, mbit_s=rng.uniform(10, 40))
 
 
 def _tinted(rng: np.random.Generator) -> list[float]:
@@ -321,3 +352,14 @@ def _register_phone(rate: str) -> None:
 
 for _rate in PHONES:
     _register_phone(_rate)
+
+
+def _register_near_phone(side: int, fps: int) -> None:
+    @scenario(f"1080p{fps}, {side} cells", 5, ("screen",))
+    def _near_phone(rng: Generator, _number: int) -> Film:
+        return draw_near_phone(side, fps, rng)
+
+
+for _side in (32, 48, 64, 96, 128):
+    for _fps in (30, 60):
+        _register_near_phone(_side, _fps)

@@ -293,9 +293,10 @@ def test_frames_above_the_limit_are_dropped_and_counted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("side", "rate_hz", "fps"), [(8, 10.0, 30.0), (32, 30.0, 60.0)])
+@pytest.mark.parametrize(("side", "rate_hz", "fps"), [(8, 10.0, 30.0), (32, 30.0, 60.0), (64, 30.0, 60.0)])
 def test_rate_and_cells_are_measured(side: int, rate_hz: float, fps: float) -> None:
-    phone = Phone(fps=fps, width=320, height=320, side_px=280, blur_px=0.8, seed=side)
+    scale = max(1, side // 32)
+    phone = Phone(fps=fps, width=320 * scale, height=320 * scale, side_px=280.0 * scale, blur_px=0.8, seed=side)
     seen = phone_frames(grabs(side, rate_hz, 3.0), phone)
     frames = [Frame(k, time_s, pixels) for k, (time_s, pixels) in enumerate(seen)]
     assert cells_of_a_side(frames) == side

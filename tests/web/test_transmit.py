@@ -57,7 +57,7 @@ def test_long_text_is_sent_as_a_file() -> None:
 
 @pytest.mark.parametrize(("query", "content", "status"), [
     ("", b"", 400), ("", b"x" * (MAX_BYTES + 1), 400),
-    *((query, b"x", 422) for query in ("?side=10", "?side=64", "?rate_hz=0", "?rate_hz=nan", "?rate_hz=1e9")),
+    *((query, b"x", 422) for query in ("?side=10", "?side=132", "?rate_hz=0", "?rate_hz=nan", "?rate_hz=1e9")),
     (f"?name={'n' * 500}", b"x", 422),
 ])  # fmt: skip
 def test_invalid_transmissions_are_rejected(client: TestClient, query: str, content: bytes, status: int) -> None:
@@ -106,7 +106,7 @@ def test_patterns_are_saved_as_a_video_and_leave_no_file(client: TestClient, tmp
         assert read.rate_hz == pytest.approx(10.0)
         frames = list(read)
     levels = np.frombuffer(client.get(f"/api/transmit/{facts['sending']}/packets").content, np.uint8).reshape(-1, 8, 8)
-    middles = (np.arange(8) + sending.MARGIN) * sending.LED_PX + sending.LED_PX // 2
+    middles = (np.arange(8) + sending.MARGIN) * 32 + 16
     seen = np.stack([frame.pixels[np.ix_(middles, middles)].astype(float) for frame in frames[: len(levels)]])
     assert np.abs(seen - levels.astype(float) * (255 / 4)).max() < 6
     assert not list(client.app.state.shared.folder.iterdir())  # type: ignore[attr-defined]

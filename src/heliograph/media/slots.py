@@ -39,7 +39,7 @@ class SlotForm:
     Attributes
     ----------
     side
-        LEDs in a row and in a column, 4 to 64 in steps of 4.
+        LEDs in a row and in a column, 4 to 128 in steps of 4.
     slots_per_pattern
         Slots of a pattern, 1 or more.
     slot_ns
@@ -199,7 +199,7 @@ def _checked_kind(path: Path, suffixes: tuple[str, ...]) -> str:
 
 
 def _is_side(side: int) -> bool:
-    return side in range(4, 65, 4)
+    return side in range(4, 129, 4)
 
 
 def _slot_bytes(kind: str, side: int) -> int:
@@ -282,8 +282,8 @@ def _column_names(side: int, slots: bool) -> str:
 
 
 def _lines(file: BinaryIO) -> Iterator[str]:
-    """Yield lines of at most 128 KiB; the first line of 64 x 64 LEDs takes 46 kB."""
-    return (line.decode("ascii", "replace").replace("\r\n", "\n") for line in iter(lambda: file.readline(1 << 17), b""))
+    """Yield lines of at most 256 KiB; the first line of 128 x 128 LEDs takes 168 kB."""
+    return (line.decode("ascii", "replace").replace("\r\n", "\n") for line in iter(lambda: file.readline(1 << 18), b""))
 
 
 def _read_table_form(path: Path) -> SlotForm:

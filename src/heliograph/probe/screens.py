@@ -22,9 +22,9 @@ from heliograph.receive.sync.frame_clock import frame_period
 from heliograph.signal.pwm import SLOT_ORDER
 from heliograph.signal.settings import SignalSettings
 
-SIDES = range(8, 33, 4)  # distinguished numbers of cells per side
+SIDES = (*range(8, 33, 4), 48, 64, 96, 128)  # distinguished numbers of cells per side
 
-# Side of the upright array in px: an integer number of pixels per cell of 8, 12, 16, 24, 28 and 32
+# Side of the upright array in px: an integer number of pixels per cell of most `SIDES`
 AREA_PX = 672
 
 
@@ -58,7 +58,7 @@ def _mean_steps(pixels: NDArray[np.float32], corners: Floats) -> Floats:
 
 
 def _correlate_edges(steps: Floats, side: int) -> float:
-    """Correlate steps with the edges of cells, except the outer two of 32 cells."""
+    """Correlate steps with the edges of cells, except the outer two of 32 or eight of 128 cells."""
     places = np.arange(1, AREA_PX) / (AREA_PX / side)
     # the lens blurs an edge to 0.18 cells
     edges = np.exp(-0.5 * ((places - np.round(places)) / 0.18) ** 2)

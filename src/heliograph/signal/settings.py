@@ -60,7 +60,7 @@ class SignalSettings:
     Attributes
     ----------
     side
-        LEDs per row and column, 4 to 64, a multiple of 4 because the header has 4 x 4 cells. A larger array carries
+        LEDs per row and column, 4 to 128, a multiple of 4 because the header has 4 x 4 cells. A larger array carries
         more data per pattern and, at equal LED pitch, has a longer detection range.
     pattern_period_s
         Pattern duration T_b in s, 1e-6 to 1. A shorter duration carries more data per second and needs a higher camera
@@ -88,7 +88,7 @@ class SignalSettings:
         "m_sequence", which identifies the array, or "all_on", for comparison: every LED on, then off.
     """
 
-    side: Annotated[int, Field(ge=4, le=64, multiple_of=4)] = 16
+    side: Annotated[int, Field(ge=4, le=128, multiple_of=4)] = 16
     pattern_period_s: Annotated[float, Field(ge=1e-6, le=1.0)] = 1e-3
     slot_order: tuple[int, ...] = SLOT_ORDER
     header_pairs: Annotated[int, Field(ge=1, le=16)] = 2

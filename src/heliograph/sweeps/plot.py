@@ -133,9 +133,8 @@ def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, colour: str,
     errors = [(y - low)[measured], (high - y)[measured]]
     axes.errorbar(x[measured], y[measured], errors, fmt="none", ecolor=colour, lw=1, alpha=0.4)
     if bounds.any():
-        below = 0.4 * high[bounds]
-        drawn = axes.errorbar(x[bounds], high[bounds], below, uplims=True, ls="none", elinewidth=0.8, **style)
-        drawn.lines[0].set_gid(BOUND)
+        y = high[bounds]
+        axes.errorbar(x[bounds], y, 0.4 * y, uplims=True, ls="none", elinewidth=0.8, **style).lines[0].set_gid(BOUND)
     if (~found).any():
         edge = np.full((~found).sum(), 0.02)
         axes.plot(x[~found], edge, "x", color="k", gid=MISSED, transform=axes.get_xaxis_transform())

@@ -18,7 +18,8 @@ from heliograph.web.sending import MAX_RATE_HZ, MIN_RATE_HZ, screen_settings
 
 Tell = Callable[[Mapping[str, Any]], None]  # sends a row to a page; an exception ends the reception
 
-TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28)  # sides in the order of trials; page *Transmit* offers 16 first
+# sides in the order of trials; page *Transmit* offers 16 first
+TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28, 64, 48, 96, 128)
 DEFAULT_RATE_HZ = 10.0  # default pattern rate, as in page *Transmit*
 
 
@@ -28,7 +29,7 @@ class LinkRequest(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     # Cells of a side
-    side: Annotated[int, Field(ge=SIDES[0], le=SIDES[-1], multiple_of=SIDES.step)] | None = None
+    side: Annotated[int, Field(ge=SIDES[0], le=SIDES[-1], multiple_of=4)] | None = None
     # Patterns per second
     rate_hz: Annotated[float, Field(ge=MIN_RATE_HZ, le=MAX_RATE_HZ)] | None = None
 

@@ -24,15 +24,15 @@ MIN_RATE_HZ, MAX_RATE_HZ = 0.5, 240.0
 
 MAX_BYTES = 256 << 10  # size of a text or file: at the rates of screens an hour, and less than 2 s of encoding
 
-LED_PX, MARGIN = 32, 2
-"""Side of a cell in pixels and dark margin in cells, of a film of patterns."""
+MAX_EDGE_PX, MARGIN = 1152, 2
+"""Largest side in pixels and dark margin in cells, of a film of patterns."""
 
 
 def screen_settings(side: int, rate_hz: float) -> LinkSettings:
     """Return the settings of the link from a screen to a phone."""
     changes: dict[str, Mapping[str, Any]] = {"signal": {"side": side, "pattern_period_s": 1 / rate_hz}}
-    if side == 8:
-        # rate 3/4 in place of 1/2: ten in place of four bytes of a file in a codeword; noise of near screens is low
+    if side == 8 or side > 32:
+        # rate 3/4 in place of 1/2: more bytes in a codeword, and the noise of near screens is low
         changes["transmit"] = {"formats": [{"mode": "short", **dict.fromkeys(LAYERS, 3 / 4)}]}
     return load_settings("phone", changes)
 
@@ -56,6 +56,11 @@ class Sending:
         return self.transmitter.format.settings.side
 
     @property
+    def cell_px(self) -> int:
+        """Side of a cell in a film in pixels."""
+        return min(MAX_EDGE_PX // (self.side + 2 * MARGIN), 32)
+
+    @property
     def packet_patterns(self) -> int:
         """Patterns of a packet."""
         return self.transmitter.format.settings.packet_patterns
@@ -72,10 +77,10 @@ class Sending:
     def frames(self, seconds: float, gamma: float) -> Iterator[Frame]:
         """Yield a frame for each pattern of a film, with a dark margin."""
         grays = np.rint(255 * (np.arange(SLOTS + 1) / SLOTS) ** (1 / gamma)).astype(np.uint8)
-        cell = np.ones((LED_PX, LED_PX), np.uint8)
+        cell = np.ones((self.cell_px, self.cell_px), np.uint8)
         for number in range(max(1, round(seconds * self.rate_hz / self.packet_patterns))):
             for index, levels in enumerate(self.packets(number, 1), number * self.packet_patterns):
-                yield Frame(index, index / self.rate_hz, np.pad(np.kron(grays[levels], cell), MARGIN * LED_PX))
+                yield Frame(index, index / self.rate_hz, np.pad(np.kron(grays[levels], cell), MARGIN * self.cell_px))
 
     def facts(self) -> Mapping[str, Any]:
         """Return the properties of the transmission as plain values."""

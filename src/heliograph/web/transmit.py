@@ -13,8 +13,9 @@ from starlette.background import BackgroundTask
 
 from heliograph.base.errors import MediaError
 from heliograph.media import create_film
+from heliograph.probe.screens import SIDES
 from heliograph.web.crashes import in_thread
-from heliograph.web.sending import LED_PX, MARGIN, MAX_RATE_HZ, MIN_RATE_HZ, Sending, check_size, sending_of
+from heliograph.web.sending import MARGIN, MAX_RATE_HZ, MIN_RATE_HZ, Sending, check_size, sending_of
 from heliograph.web.shared import SharedState, body_of
 
 router = APIRouter(prefix="/api/transmit")
@@ -25,7 +26,7 @@ async def begin(
     request: Request,
     shared: SharedState,
     rate_hz: Annotated[float, Query(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, allow_inf_nan=False)] = 10.0,
-    side: Annotated[int, Query(ge=8, le=32, multiple_of=4)] = 16,
+    side: Annotated[int, Query(ge=SIDES[0], le=SIDES[-1], multiple_of=4)] = 16,
     name: Annotated[str | None, Query(max_length=400)] = None,
     is_preview: bool = False,
 ) -> dict[str, Any]:
@@ -58,7 +59,7 @@ async def packets(
     name: str,
     shared: SharedState,
     first: Annotated[int, Query(ge=0, le=10**9)] = 0,
-    # 16 packets of 32 x 32 cells have 0.5 MB
+    # 16 packets of 128 x 128 cells have 8 MB
     count: Annotated[int, Query(ge=1, le=16)] = 1,
 ) -> Response:
     """Return packets: PWM levels 0 to 4 of all cells, a byte each, row by row, pattern by pattern."""
@@ -89,7 +90,7 @@ async def film(
 
 
 def _write(path: Path, sending: Sending, seconds: float, gamma: float) -> None:
-    edge = (sending.side + 2 * MARGIN) * LED_PX
+    edge = (sending.side + 2 * MARGIN) * sending.cell_px
     with create_film(path, width=edge, height=edge, rate_hz=sending.rate_hz) as out:
         for frame in sending.frames(seconds, gamma):
             out.write(frame)

@@ -51,6 +51,19 @@ def test_place_is_fitted_from_half_a_cell_away(off: tuple[float, float]) -> None
     assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
 
 
+def test_blocks_of_many_cells_are_fitted_from_two_cells_away() -> None:
+    side = 64
+    cells = np.random.default_rng(3).binomial(4, 0.5, (side, side)).astype(np.uint8)
+    pixels = np.pad(np.kron(40 + 40 * cells, np.ones((5, 5), np.uint8)), 40, constant_values=10)
+    place = Place.of(np.array([[0, 0], [320, 0], [320, 320], [0, 320]]) + 39.5, side)
+    rough = place.shifted(1.6, 1.3)
+    start = CellTracker(side, 0.4, LINEAR, SearchBudget(), rough).fit_blocks(Frame(0, 0.0, pixels), rough)
+    tracker = CellTracker(side, 0.4, LINEAR, SearchBudget(), start)
+    sample = tracker.track(Frame(0, 0.0, pixels))
+    assert sample is not None
+    assert np.abs(sample.place.corners(side) - place.corners(side)).max() < 1.0  # a fifth of a cell
+
+
 def test_jump_by_a_cell_is_tracked() -> None:
     tracker = CellTracker(SIDE, 1.0, LINEAR, SearchBudget(), Place.of(CORNERS, SIDE))
     for k in range(5):
@@ -101,7 +114,7 @@ def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.M
     budget, counts = SearchBudget(), list[int]()
     search, place = search_at_a_place(8, budget)
 
-    def fit(_corners: Floats) -> Candidate:
+    def fit(*_: object) -> Candidate:
         budget.spend(2 * budget.first_s * SAMPLES_PER_S)
         return np.inf, place, 1.0
 
@@ -109,7 +122,8 @@ def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.M
         counts.append(len(frames))
         return None
 
-    monkeypatch.setattr(search, "_fit_candidate", fit)
+    monkeypatch.setattr(search, "_place_of", lambda _: place)
+    monkeypatch.setattr(search, "_trial", fit)
     monkeypatch.setattr(locate, "mean_change", count)
     monkeypatch.setattr(locate, "find_quadrilaterals", lambda *_: [None])
     rng = np.random.default_rng(1)
@@ -123,7 +137,7 @@ def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.M
 def test_doubtful_array_is_accepted_only_after_many_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between two slow patterns only noise changes, which resembles a poor array."""
     search, place = search_at_a_place(8, SearchBudget())
-    monkeypatch.setattr(search, "_fit_candidate", lambda *_: (0.5, place, 1.0))
+    monkeypatch.setattr(search, "_trial", lambda *_: (0.5, place, 1.0))
     rng, found = np.random.default_rng(1), list[bool]()
     for k in range(PARAMETERS.kept_frames):
         cells = rng.integers(20, 230, (8, 8)).astype(np.uint8).repeat(10, 0).repeat(10, 1)

@@ -26,7 +26,7 @@ from heliograph.receive.screen.cells import SAMPLES_PER_S, SearchBudget
 from heliograph.signal.block import Block
 from heliograph.signal.fountain.files import FileGatherer, SentFile, WholeFile
 from heliograph.signal.settings import LAYERS
-from heliograph.web.sending import sending_of
+from heliograph.web.sending import screen_settings, sending_of
 
 
 def link(preset: str, packets: float, *changes: str, rows: int = 144) -> LinkSettings:
@@ -127,6 +127,15 @@ def test_unreadable_signal_is_refused() -> None:
         heliograph.make_receiver(replace(settings.signal, modulation="ook"), settings.receive)
     with pytest.raises(SettingsError, match="has no effect"):
         load_settings("paper", None, ["receive.screen.gamma=2.0"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [64, 96])
+def test_many_cells_of_few_pixels_are_read(side: int) -> None:
+    grabs = shown(sending_of(np.random.default_rng(side).bytes(9000), "a.bin", side, 30.0), 1.4, cell_px=8)
+    phone = Phone(fps=60, width=9 * side, height=8 * side, side_px=7.0 * side, blur_px=0.7, shake_px=6, turn_deg=20)
+    film = [Frame(k, time_s, pixels) for k, (time_s, pixels) in enumerate(phone_frames(grabs, phone))]
+    assert statuses(received(film, screen_settings(side, 30.0)))[0] == "ok"
 
 
 def filmed(display_hz: float, lasts: int, skipped: float, seconds: float) -> list[Frame]:

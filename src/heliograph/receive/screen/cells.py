@@ -5,6 +5,7 @@ light X of the cells and of the ring, and the spread B of a cell by the blur. Le
 projected on the derivatives of B X B^T, corrects the place.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
@@ -54,9 +55,19 @@ class SearchBudget:
         self._left_s -= samples / SAMPLES_PER_S
 
 
-S = 6  # samples along the side of a cell: a blur of a third of a cell is represented to 1 %
 RIM_CELLS = 1  # Width of the ring around the array in cells; the light of the ring leaks into the array
+MAX_FINE_SIDE = 32  # cells a side with fine samples; more cells have fewer px each
 PIXEL_SAMPLES = 0.05  # work of a pixel in samples
+
+
+def samples_per_cell(side: int) -> int:
+    """Return S: with 6, a blur of a third of a cell is represented to 1 %."""
+    return 6 if side <= MAX_FINE_SIDE else 3
+
+
+def fit_samples(side: int) -> int:
+    """Return the number of samples of an array with the ring."""
+    return ((side + 2 * RIM_CELLS) * samples_per_cell(side)) ** 2
 
 
 @dataclass(frozen=True)
@@ -65,6 +76,8 @@ class ScreenParameters:
 
     # Fit: maximum misfit, 0.06 to 0.3 for the right place, 0.6 to 0.9 half a cell off
     max_misfit: float = 0.6
+    # Misfit of sharp cells; headers have less
+    min_misfit: float = 0.06
     # Ratio of the misfit to the usual misfit above which slips are tried; headers and smear have up to 1.5
     max_misfit_ratio: float = 1.8
 
@@ -202,8 +215,8 @@ class Sample:
 @lru_cache(maxsize=64)
 def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     """Return B, the derivative of B by the place, and the weights of the least squares, for a blur in cells."""
-    cells = side + 2 * RIM_CELLS
-    at = (np.arange(cells * S) + 0.5) / S
+    cells, s = side + 2 * RIM_CELLS, samples_per_cell(side)
+    at = (np.arange(cells * s) + 0.5) / s
     edge = np.arange(cells + 1.0)
     z = (at[:, None] - edge) / width
     b = ndtr(z[:, :-1]) - ndtr(z[:, 1:])
@@ -215,15 +228,15 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
     # loading: cells may be smaller than the blur
     gram = b.T @ b
-    return b, slope, np.linalg.solve(gram + 1e-3 * S * np.eye(cells), b.T)
+    return b, slope, np.linalg.solve(gram + 1e-3 * s * np.eye(cells), b.T)
 
 
 def _resample(part: Pixels32, homography: Floats, side: int) -> Floats:
     """Resample an array upright, with the ring, from a part of a frame."""
-    cells = side + 2 * RIM_CELLS
-    # sample (i + 1/2) / S - RIM_CELLS cells
-    to_cells = np.array([[1 / S, 0, 0.5 / S - RIM_CELLS], [0, 1 / S, 0.5 / S - RIM_CELLS], [0, 0, 1]])
-    size = (cells * S, cells * S)
+    cells, s = side + 2 * RIM_CELLS, samples_per_cell(side)
+    # sample (i + 1/2) / s - RIM_CELLS cells
+    to_cells = np.array([[1 / s, 0, 0.5 / s - RIM_CELLS], [0, 1 / s, 0.5 / s - RIM_CELLS], [0, 0, 1]])
+    size = (cells * s, cells * s)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     warped = cv2.warpPerspective(part, homography @ to_cells, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped, np.float64)
@@ -243,11 +256,15 @@ def reduced(image: Pixels32, factor: int) -> Pixels32:
     return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> Floats:
+def _step(samples: Floats, b: Floats, slope: Floats, x: Floats, side: int, held: float) -> Floats:
     """Return a small homography in cells to reduce the residual, (3, 3)."""
-    core = slice(RIM_CELLS * S - S // 2, -(RIM_CELLS * S - S // 2))
-    across, down = (b @ x @ slope.T)[core, core], (slope @ x @ b.T)[core, core]
-    at = (np.arange(b.shape[0])[core] + 0.5) / S - RIM_CELLS - side / 2
+    s = samples_per_cell(side)
+    # every other sample of many cells: eight values need no more
+    core = slice(RIM_CELLS * s - s // 2, -(RIM_CELLS * s - s // 2), 1 if side <= MAX_FINE_SIDE else 2)
+    light, leaned = b[core] @ x, slope[core] @ x
+    residual = samples[core, core] - light @ b[core].T
+    across, down = light @ slope[core].T, leaned @ b[core].T
+    at = (np.arange(b.shape[0])[core] + 0.5) / s - RIM_CELLS - side / 2
     u, v = (axis / side for axis in np.meshgrid(at, at))
     # x' = x + a + b u + c v + g u^2 + h u v, y' = y + d + e u + f v + g u v + h v^2, in cells
     tilt = across * u + down * v
@@ -255,9 +272,9 @@ def _step(residual: Floats, b: Floats, slope: Floats, x: Floats, side: int) -> F
     rows = np.stack(terms).reshape(8, -1)
     gram = rows @ rows.T
     # weights of the shape of the array in the last frame
-    hold = np.array([0, 0.03, 0.03, 0, 0.03, 0.03, 0.2, 0.2]) * (gram[0, 0] + gram[3, 3]) / 2
+    hold = held * np.array([0, 0.03, 0.03, 0, 0.03, 0.03, 0.2, 0.2]) * (gram[0, 0] + gram[3, 3]) / 2
     # the image moves opposite to the place
-    p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual[core, core].ravel()))
+    p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual.ravel()))
     p = p / max(1.0, float(np.abs(p).max()) / 0.7)
     a, bb, c, d, e, f, g, h = p
     centred = np.array([[1 + bb / side, c / side, a], [e / side, 1 + f / side, d], [-g / side**2, -h / side**2, 1]])
@@ -281,12 +298,12 @@ class CellTracker:
         self._max_light = 0.0
         self.lost_since: float | None = None
 
-    def fit(self, frame: Frame, place: Place, max_steps: int = 4) -> Sample:
+    def fit(self, frame: Frame, place: Place, max_steps: int = 4, held: float = 1.0) -> Sample:
         """Fit the cells and the place in a frame, from a place on."""
-        side = self._side
+        side, s = self._side, samples_per_cell(self._side)
         part, part_place = self._cut_out(frame.pixels, place)
         # blur of the lens, and of pixel and bilinear interpolation in px: sqrt(1/12 + 1/12)
-        width = float(np.hypot(np.hypot(self._blur_px, 0.4) / place.cell_px(side), 0.35 / S))
+        width = float(np.hypot(np.hypot(self._blur_px, 0.4) / place.cell_px(side), 0.35 / s))
         # sharper edges than 0.05 cells fall between samples
         b, slope, weights = _spread(side, round(max(width, 0.05), 2))
         start = place
@@ -294,21 +311,29 @@ class CellTracker:
             homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
             samples = _resample(part, homography, side)
             x = weights @ samples @ weights.T
-            residual = samples - b @ x @ b.T
             if step == max_steps:
                 break
-            delta = _step(residual, b, slope, x, side)
+            delta = _step(samples, b, slope, x, side, held)
             place = Place(place.homography @ delta)
             if np.abs(delta - np.eye(3))[:2].max() < 0.01:
                 break
         # a step costs 3000 samples more
         self._budget.spend((step + 1) * (samples.size + 3000) + PIXEL_SAMPLES * part.size)
-        core = slice(RIM_CELLS * S, -RIM_CELLS * S)
-        inner = samples[core, core]
+        core = slice(RIM_CELLS * s, -RIM_CELLS * s)
+        inner, residual = samples[core, core], (samples - b @ x @ b.T)[core, core]
         # between a pattern and the inverse all cells are alike: data have half the mean as rms
         contrast = max(float(inner.std()), 0.5 * float(inner.mean()), TINY)
-        misfit = float(np.sqrt(np.mean(residual[core, core] ** 2))) / contrast
+        misfit = float(np.sqrt(np.mean(residual**2))) / contrast
         return Sample(frame.index, frame.time_s, place, x, misfit)
+
+    def fit_blocks(self, frame: Frame, place: Place) -> Place:
+        """Fit blocks of 4 x 4 and of 2 x 2 of many cells: a fit corrects half a block."""
+        for size in (4, 2) if self._side > MAX_FINE_SIDE else ():
+            scale, side = np.diag([size, size, 1.0]), self._side // size
+            blocks = Place(place.homography @ scale)
+            tracker = CellTracker(side, 0.2 * blocks.cell_px(side), self._light, self._budget, blocks)
+            place = Place(tracker.fit(frame, blocks, max_steps=10, held=0.1).place.homography @ np.linalg.inv(scale))
+        return place
 
     def _cut_out(self, pixels: Pixels, place: Place) -> tuple[Pixels32, Place]:
         """Cut out the light around an array, reduced to cells of 10 to 20 px, with the place in the part."""
@@ -331,11 +356,10 @@ class CellTracker:
         if fit is not None and fit.mean_light < 0.15 * self._max_light:
             return None  # the backlight was off
         if self._correct_slips and (fit is None or self._doubt(fit) > 1) and self._budget.is_left:
-            # a fit corrects half a cell: try places around, with the shape of the last good fit
+            # the shape of the last good fit
             shaped = self._last_good.moved(expected.at(self._middle) - self._last_good.at(self._middle))
-            offsets = product((0, -0.6, 0.6, -1.2, 1.2), repeat=2) if self._ring is not None else ()
-            fits = [fit, *(self._checked_fit(frame, shaped.shifted(*offset)) for offset in offsets)]
-            fit = min((candidate for candidate in fits if candidate is not None), key=self._doubt, default=None)
+            tried = [fit, *(self._checked_fit(frame, place) for place in self._places_around(frame, shaped))]
+            fit = min((one for one in tried if one is not None), key=self._doubt, default=None)
         if fit is None:
             self._motion = np.zeros(2)
             if self.lost_since is None:
@@ -353,9 +377,16 @@ class CellTracker:
         self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / 1.03, self._usual_misfit * 1.03))
         return fit
 
+    def _places_around(self, frame: Frame, place: Place) -> Iterator[Place]:
+        """Yield places to start from after a slip, as a fit corrects half a cell."""
+        if self._side > MAX_FINE_SIDE:
+            yield self.fit_blocks(frame, place)
+        elif self._ring is not None:
+            yield from (place.shifted(*offset) for offset in product((0, -0.6, 0.6, -1.2, 1.2), repeat=2))
+
     def _doubt(self, fit: Sample) -> float:
         """Return the doubt about a fit; above 1 the fit may be a slip."""
-        misfit = fit.misfit / (PARAMETERS.max_misfit_ratio * self._usual_misfit)
+        misfit = fit.misfit / (PARAMETERS.max_misfit_ratio * max(self._usual_misfit, PARAMETERS.min_misfit))
         if self._ring is None:
             return misfit
         # a slip changes two sides by 0.5 to 1 of the light, the largest change counts

@@ -23,7 +23,7 @@ from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import crop, window_around
 from heliograph.receive.packet import Packet
-from heliograph.receive.screen.cells import PARAMETERS, CellTracker, Sample, SearchBudget
+from heliograph.receive.screen.cells import PARAMETERS, CellTracker, Sample, SearchBudget, fit_samples
 from heliograph.receive.screen.locate import ArraySearch
 from heliograph.receive.screen.packets import PacketAssembler, ScreenHeader
 from heliograph.receive.settings import ReceiveSettings, check_pairs
@@ -116,9 +116,10 @@ class ScreenReceiver:
     def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
         check_pairs(signal, "screen")
         self._signal, self._settings, self._observe = signal, settings, observe
-        # headers below 10 patterns/s take longer
-        slowness = max(1.0, 10 * signal.pattern_period_s)
-        self._budget = SearchBudget(first_s=slowness, debt_s=0.5 * slowness)
+        # fits of more cells cost more, and headers below 10 patterns/s take longer
+        work = max(1.0, fit_samples(signal.side) / fit_samples(16))
+        first_s = work * max(1.0, 10 * signal.pattern_period_s)
+        self._budget = SearchBudget(0.2 * work, first_s, debt_s=0.5 * first_s)
         self._search = ArraySearch(signal.side, settings.screen.gamma, self._budget)
         self._events = EventEmitter(signal, observe)
         self._last: Frame | None = None
