@@ -114,7 +114,7 @@ def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.M
     budget, counts = SearchBudget(), list[int]()
     search, place = search_at_a_place(8, budget)
 
-    def fit(*_: object) -> Candidate:
+    def fit(_corners: Floats) -> Candidate:
         budget.spend(2 * budget.first_s * SAMPLES_PER_S)
         return np.inf, place, 1.0
 
@@ -122,8 +122,7 @@ def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.M
         counts.append(len(frames))
         return None
 
-    monkeypatch.setattr(search, "_place_of", lambda _: place)
-    monkeypatch.setattr(search, "_trial", fit)
+    monkeypatch.setattr(search, "_fit_candidate", fit)
     monkeypatch.setattr(locate, "mean_change", count)
     monkeypatch.setattr(locate, "find_quadrilaterals", lambda *_: [None])
     rng = np.random.default_rng(1)
@@ -137,7 +136,7 @@ def test_interrupted_search_continues_with_the_next_frames(monkeypatch: pytest.M
 def test_doubtful_array_is_accepted_only_after_many_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Between two slow patterns only noise changes, which resembles a poor array."""
     search, place = search_at_a_place(8, SearchBudget())
-    monkeypatch.setattr(search, "_trial", lambda *_: (0.5, place, 1.0))
+    monkeypatch.setattr(search, "_fit_candidate", lambda *_: (0.5, place, 1.0))
     rng, found = np.random.default_rng(1), list[bool]()
     for k in range(PARAMETERS.kept_frames):
         cells = rng.integers(20, 230, (8, 8)).astype(np.uint8).repeat(10, 0).repeat(10, 1)

@@ -76,8 +76,6 @@ class ScreenParameters:
 
     # Fit: maximum misfit, 0.06 to 0.3 for the right place, 0.6 to 0.9 half a cell off
     max_misfit: float = 0.6
-    # Misfit of sharp cells; headers have less
-    min_misfit: float = 0.06
     # Ratio of the misfit to the usual misfit above which slips are tried; headers and smear have up to 1.5
     max_misfit_ratio: float = 1.8
 
@@ -386,7 +384,7 @@ class CellTracker:
 
     def _doubt(self, fit: Sample) -> float:
         """Return the doubt about a fit; above 1 the fit may be a slip."""
-        misfit = fit.misfit / (PARAMETERS.max_misfit_ratio * max(self._usual_misfit, PARAMETERS.min_misfit))
+        misfit = fit.misfit / (PARAMETERS.max_misfit_ratio * self._usual_misfit)
         if self._ring is None:
             return misfit
         # a slip changes two sides by 0.5 to 1 of the light, the largest change counts

@@ -1,6 +1,5 @@
 """Location of a screen array: quadrilaterals that change from frame to frame, and fits of cells inside."""
 
-import contextlib
 from collections import deque
 from collections.abc import Sequence
 from itertools import pairwise
@@ -136,11 +135,11 @@ class ArraySearch:
                 return None
             corners = find_quadrilaterals(mean_change(list(self._small)[-count:]), self._factor)
             # the strongest change comes first
-            candidates = [self._trial(self._place_of(four)) for four in corners if self._budget.is_left]
+            candidates = [self._fit_candidate(four) for four in corners if self._budget.is_left]
+            candidates.sort(key=lambda candidate: candidate[0])
             # a doubtful candidate may be noise before the first change of a slow light
             max_score = np.inf if len(self._frames) >= PARAMETERS.max_doubtful else PARAMETERS.min_doubt
-            for candidate in sorted(candidates, key=lambda candidate: candidate[0]):
-                score, place, blur_px = self._fit_blur(candidate) if self._budget.is_left else candidate
+            for score, place, blur_px in candidates:
                 acquired = self._track_all(place, blur_px) if score < max_score else None
                 if acquired is not None:
                     return acquired
@@ -153,29 +152,25 @@ class ArraySearch:
             self._light = ((np.arange(frame.full_scale + 1) / frame.full_scale) ** self._gamma).astype(np.float32)
         return light_of(frame.pixels, self._light)
 
-    def _place_of(self, corners: Floats) -> Place:
-        """Return the place of an array with rough corners."""
-        place, frame = Place.of(corners, self._side), self._frames[-min(PARAMETERS.trial_frames, len(self._frames))]
-        with contextlib.suppress(np.linalg.LinAlgError):
-            place = self._tracker(place, PARAMETERS.blurs_px[0]).fit_blocks(frame, place)
-        return place
-
-    def _fit_blur(self, candidate: Candidate) -> Candidate:
-        """Fit the blur of a candidate, at most 0.45 cells."""
-        place, max_blur_px = candidate[1], 0.45 * candidate[1].cell_px(self._side)
-        tried = [self._trial(place, blur_px) for blur_px in PARAMETERS.blurs_px[1:] if blur_px < max_blur_px]
-        return min([candidate, *tried], key=lambda candidate: candidate[0])
+    def _fit_candidate(self, corners: Floats) -> Candidate:
+        """Fit place and blur of a candidate with given corners."""
+        best = self._trial(Place.of(corners, self._side), PARAMETERS.blurs_px[0], rough=True)
+        # a blur of at most 0.45 cells
+        max_blur_px = 0.45 * best[1].cell_px(self._side)
+        tried = [self._trial(best[1], blur_px) for blur_px in PARAMETERS.blurs_px if blur_px < max_blur_px]
+        return min(tried, key=lambda candidate: candidate[0], default=best)
 
     def _tracker(self, place: Place, blur_px: float, correct_slips: bool = True) -> CellTracker:
         """Return a tracker of cells from a place on."""
         assert self._light is not None
         return CellTracker(self._side, blur_px, self._light, self._budget, place, correct_slips)
 
-    def _trial(self, place: Place, blur_px: float = PARAMETERS.blurs_px[0]) -> Candidate:
+    def _trial(self, place: Place, blur_px: float, rough: bool = False) -> Candidate:
         """Track cells through the last frames from a place on."""
         frames = list(self._frames)[-PARAMETERS.trial_frames :]
         try:
-            start = self._tracker(place, blur_px).fit(frames[0], place, max_steps=10).place
+            tracker = self._tracker(place, blur_px)
+            start = tracker.fit(frames[0], tracker.fit_blocks(frames[0], place) if rough else place, max_steps=10).place
         except np.linalg.LinAlgError:
             return np.inf, place, blur_px
         tracker = self._tracker(start, blur_px, correct_slips=False)
