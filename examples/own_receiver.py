@@ -1,7 +1,7 @@
 """Compare a receiver of one's own with the receivers of the package.
 
 Run `python examples/own_receiver.py`. The script counts codeword errors over distance and plots the rates in
-own_receiver.png. It requires `pip install xarray pandas h5netcdf`. The file also extends the command line:
+own_receiver.png, in about a minute. It requires the extra `analysis`. The file also extends the command line:
 `heliograph --load examples/own_receiver.py receive film.mkv --receiver wiener`.
 """
 
@@ -43,10 +43,10 @@ heliograph.register_receiver("wiener", Wiener, WienerSettings, reads=["calibrati
 def main(few: bool) -> None:
     """Compare the three receivers."""
     data = heliograph.sweep(
-        {"receiver": ["wiener", "plain", "soft"], "channel.distance_m": [60] if few else [40, 50, 60, 70, 80, 90]},
+        {"receiver": ["wiener", "plain", "soft"], "channel.distance_m": [60] if few else [50, 60, 70, 80, 90]},
         set={"signal.data_pairs": 16 if few else 48},
-        min_errors=5 if few else 30,
-        max_codewords=2 if few else 60,
+        min_errors=5 if few else 10,
+        max_codewords=2 if few else 12,
     )
     figure = Figure(figsize=(13, 4), layout="constrained")
     for axes, layer in zip(figure.subplots(1, 3, sharey=True), data.layer.values, strict=True):

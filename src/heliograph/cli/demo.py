@@ -51,7 +51,8 @@ def demo(
         layers = ", ".join(
             f"{name} {tally['ok']}/{tally['ok'] + tally['failed']}" for name, tally in array["layers"].items()
         )
-        console.say(f"array {array['id']}: {counted(array['packets'], 'packet')}; codewords read: {layers}")
+        packets = f"array {array['id']}: {counted(array['packets'], 'packet')}"
+        console.say(f"{link.receive.receiver}, {packets}; codewords read: {layers}")
     frames = counted(report["frames"], "frame")
     console.say(f"{frames} at {report['frames_per_second']:.0f} frames/s")
     console.say(f"open {output / 'report.html'}, and {output / 'replay.html'} to look at every moment")
