@@ -32,7 +32,7 @@ def test_rates_may_be_fractions(text: Any, rate: float) -> None:
 
 
 @pytest.mark.parametrize(("name", "values", "words"), [
-    ("side", (18, 0, 68), "side"), ("pattern_period_s", (0.0, math.nan, math.inf), "pattern_period_s"),
+    ("side", (18, 0, 132), "side"), ("pattern_period_s", (0.0, math.nan, math.inf), "pattern_period_s"),
     ("slot_order", ((0, 1, 2, 2), (0, 1, 2)), "permutation of 0 to 3"), ("header_pairs", (0,), "header_pairs"),
     ("data_pairs", (0, 4097), "data_pairs"), ("modulation", ("qam",), "modulation"),
     # 1e400 overflows float; Python raises a different exception
