@@ -2,7 +2,7 @@
 
 Run `python examples/eight_by_eight.py`. The script writes patterns for a panel (eight_by_eight.csv), simulates a film
 and receives the message. eight_by_eight.png shows the first patterns, a frame and the range of each layer. The script
-requires `pip install xarray pandas h5netcdf`.
+requires `pip install '.[analysis]'` in a clone.
 """
 
 import sys

@@ -5,7 +5,7 @@
 #
 # A sweep sends random packets through the simulated channel at several distances, decodes the packets and counts errors
 # per priority layer. Run this file as a script, or cell by cell in an editor with `# %%` support. The notebook requires
-# `pip install xarray pandas h5netcdf`.
+# `pip install '.[analysis]'` in a clone.
 
 # %%
 import json

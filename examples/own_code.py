@@ -1,7 +1,7 @@
 """Register a custom channel code: an LDPC code from the library `ldpc` in place of the turbo code.
 
 Run `python examples/own_code.py`. The script prints codeword error rates for both codes over distance and plots the
-rates in own_code.png. The script requires `pip install xarray pandas h5netcdf ldpc`.
+rates in own_code.png. The script requires `pip install '.[analysis,examples]'` in a clone.
 """
 
 import sys

@@ -25,16 +25,17 @@ from heliograph.experiments import plots
 from heliograph.experiments.report import Report
 from heliograph.link.film import frames_of, sent_s, write_film
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, Recordings
+from heliograph.link.simulate import Recordings
 from heliograph.link.truth import TruthFile, open_truth, truth_path
 from heliograph.measure.errors import BIN_M
 from heliograph.measure.journal import message_row
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import open_film
-from heliograph.receive import Packet, Pose
 from heliograph.receive.api import choose_receiver
 from heliograph.receive.events import DetectEvent, Event, ExtractEvent, TrackEvent
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame, cut_out
+from heliograph.receive.packet import Packet
 from heliograph.receive.settings import PlainSettings
 from heliograph.road.codec import Values, is_there, kind_of, mapem, road_values, road_words, updates
 from heliograph.road.countdown import Countdown
@@ -42,7 +43,7 @@ from heliograph.road.junction import Junction, example
 from heliograph.signal.message import Message, Updates
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.plot import LAYER_COLOURS
-from heliograph.transmit import Content
+from heliograph.transmit import Content, Messages
 
 Rgb = NDArray[np.uint8]
 Colour = tuple[int, int, int]
@@ -420,9 +421,13 @@ def demo_messages(settings: LinkSettings) -> list[Messages]:
     details = (
         "Junction 7, northbound. Right lane closed for works until 18:00. Pedestrians on the east crossing. "
         "Green at 50 km/h in 12 s, at 30 km/h in 19 s. Tram 4 crosses from the left in 41 s. "
+        "Harbour Road: two-way cycle track on the right, cyclists wait at the stop line. Next junction in 420 m: "
+        "green at 45 km/h. Road wet, 6 degrees, fog at the bridge. Tunnel after 1.2 km: 4.1 m of clearance. "
+        "Car park Station: 112 spaces, car park Market: full. Ferry to the island: 14:20, then every 30 minutes. "
+        "Charging: 3 of 8 points free."
     )
     high: list[Content] = [warning.encode()]
-    middle: list[Content] = [(details * 3).encode()]
+    middle: list[Content] = [details.encode()]
     if is_there():
         junction = from_mapping(Junction, example())
         high.append(Updates(updates(junction, sent_s(settings))))
