@@ -33,9 +33,9 @@ import numpy as np
 
 from benchmarks.scenarios import SCENARIOS, Film
 from heliograph.base.frames import Frame
-from heliograph.channel import Truth
+from heliograph.channel.truth import Truth
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, default_messages, simulate
+from heliograph.link.simulate import default_messages, simulate
 from heliograph.link.truth import FrameTruth
 from heliograph.measure.bench import block_settings, dithered, random_messages, window_margin_px
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
@@ -43,6 +43,7 @@ from heliograph.measure.statistics import clopper_pearson
 from heliograph.media import create_film, open_film
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
+from heliograph.transmit import Messages
 
 REFERENCE = Path(__file__).with_suffix(".csv")
 

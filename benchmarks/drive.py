@@ -29,7 +29,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
-from heliograph.receive import Packet, make_receiver
+from heliograph.receive.api import make_receiver
+from heliograph.receive.packet import Packet
 
 RUNS = 3
 WARM_FRAMES = 330

@@ -21,7 +21,9 @@ from heliograph.link.warm_up import warm_up
 from heliograph.media import open_film
 from heliograph.media.live.aravis import aravis
 from heliograph.media.live.reader import LiveReader
-from heliograph.receive import Packet, ReceiveSettings, make_receiver
+from heliograph.receive.api import make_receiver
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 SERVER = Path(__file__).parents[1] / "examples" / "fake_camera.py"

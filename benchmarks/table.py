@@ -35,10 +35,12 @@ from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film, open_film
-from heliograph.receive import Pose, Receiver, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.build import plain_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, ignore
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Receiver
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.track import Track

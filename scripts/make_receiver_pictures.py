@@ -14,8 +14,9 @@ from render_oracle import blur_matrix
 from heliograph.experiments.plots import GRAY, image_row, styled
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
-from heliograph.receive import Pose, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, Event
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, Noise
 from heliograph.receive.observe.statistics import whiten
 from heliograph.signal.block import pack

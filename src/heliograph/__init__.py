@@ -22,17 +22,10 @@ if TYPE_CHECKING:
     from heliograph.media import convert_film, create_film, open_colours, open_film, open_slots
     from heliograph.media.live.camera import register_camera
     from heliograph.panel import Place, UnmixedColours, follow, locate, sample, unmix_colours
-    from heliograph.receive import (
-        LuminanceReceiver,
-        Packet,
-        Receiver,
-        ReceiveSettings,
-        list_receivers,
-        make_receiver,
-        own_settings,
-        receive_frames,
-        register_receiver,
-    )
+    from heliograph.receive.api import list_receivers, make_receiver, own_settings, receive_frames, register_receiver
+    from heliograph.receive.luminance_receiver import LuminanceReceiver
+    from heliograph.receive.packet import Packet, Receiver
+    from heliograph.receive.settings import ReceiveSettings
     from heliograph.signal.code import list_codes, register_code
     from heliograph.signal.settings import SignalSettings
     from heliograph.sweeps.plot import plot_rates
@@ -41,57 +34,35 @@ if TYPE_CHECKING:
 
 __version__ = "1.0.0"
 
-_HOMES = {
-    "Budget": "link.budget",
-    "Frame": "base.frames",
-    "HeliographError": "base.errors",
-    "LightSettings": "link.photometry",
-    "LinkSettings": "link.settings",
-    "LuminanceReceiver": "receive",
-    "MediaError": "base.errors",
-    "Packet": "receive",
-    "Place": "panel",
-    "ReceiveSettings": "receive",
-    "Receiver": "receive",
-    "Reception": "measure.reception",
-    "SettingsError": "base.errors",
-    "SignalSettings": "signal.settings",
-    "Transmitter": "transmit",
-    "TruthFile": "link.truth",
-    "UnmixedColours": "panel",
-    "budget": "link.budget",
-    "convert_film": "media",
-    "create_film": "media",
-    "decode": "link.codec",
-    "encode": "link.codec",
-    "follow": "panel",
-    "list_codes": "signal.code",
-    "list_presets": "link.settings",
-    "list_receivers": "receive",
-    "load_parts": "base.registry",
-    "load_settings": "link.settings",
-    "locate": "panel",
-    "make_receiver": "receive",
-    "open_colours": "media",
-    "open_film": "media",
-    "open_slots": "media",
-    "open_truth": "link.truth",
-    "own_settings": "receive",
-    "plot_rates": "sweeps.plot",
-    "receive_film": "measure.reception",
-    "receive_frames": "receive",
-    "register_background": "channel.parts",
-    "register_camera": "media.live.camera",
-    "register_code": "signal.code",
-    "register_motion": "channel.parts",
-    "register_point_spread": "channel.parts",
-    "register_receiver": "receive",
-    "sample": "panel",
-    "simulate": "link.simulate",
-    "sweep": "sweeps.sweep",
-    "unmix_colours": "panel",
-    "write_dataset": "datasets.dataset",
+_NAMES = {
+    "base.errors": "HeliographError MediaError SettingsError",
+    "base.frames": "Frame",
+    "base.registry": "load_parts",
+    "channel.parts": "register_background register_motion register_point_spread",
+    "datasets.dataset": "write_dataset",
+    "link.budget": "Budget budget",
+    "link.codec": "decode encode",
+    "link.photometry": "LightSettings",
+    "link.settings": "LinkSettings list_presets load_settings",
+    "link.simulate": "simulate",
+    "link.truth": "TruthFile open_truth",
+    "measure.reception": "Reception receive_film",
+    "media": "convert_film create_film open_colours open_film open_slots",
+    "media.live.camera": "register_camera",
+    "panel": "Place UnmixedColours follow locate sample unmix_colours",
+    "receive.api": "list_receivers make_receiver own_settings receive_frames register_receiver",
+    "receive.luminance_receiver": "LuminanceReceiver",
+    "receive.packet": "Packet Receiver",
+    "receive.settings": "ReceiveSettings",
+    "signal.code": "list_codes register_code",
+    "signal.settings": "SignalSettings",
+    "sweeps.plot": "plot_rates",
+    "sweeps.sweep": "sweep",
+    "transmit": "Transmitter",
 }
+"""Public names by home."""
+
+_HOMES = {name: home for home, names in _NAMES.items() for name in names.split()}
 
 __all__ = [
     "Budget",

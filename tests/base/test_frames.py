@@ -9,7 +9,7 @@ import pytest
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 

@@ -14,8 +14,9 @@ from heliograph.base import registry
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.base.registry import Registry, _entries, digest, load_parts, register_again, registered
-from heliograph.receive import ReceiveSettings, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.registry import RECEIVERS
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 COLOURS: Registry[str] = Registry("colour", "test.colours", {"red": "string:digits"})

@@ -8,10 +8,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from heliograph.channel import ChannelSettings, Footage, film
-from heliograph.channel.background import Clip, cover_size, draw_scene, draw_street, image_motion, warp
+from heliograph.channel.background import Clip, Footage, cover_size, draw_scene, draw_street, image_motion, warp
+from heliograph.channel.camera import film
 from heliograph.channel.scene import CameraPose, rotation
-from heliograph.channel.settings import BackgroundSettings
+from heliograph.channel.settings import BackgroundSettings, ChannelSettings
 
 SIZE = (96, 160)
 

@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.base.frames import Frame
-from heliograph.channel import ChannelSettings, Footage, Placement, Truth, film, frame_count
-from heliograph.channel.settings import BackgroundSettings, CameraSettings, EmitterSettings, SensorSettings
+from heliograph.channel.background import Footage
+from heliograph.channel.camera import film, frame_count
+from heliograph.channel.settings import (
+    BackgroundSettings,
+    CameraSettings,
+    ChannelSettings,
+    EmitterSettings,
+    Placement,
+    SensorSettings,
+)
+from heliograph.channel.truth import Truth
 
 Light = Iterator[NDArray[np.uint8]]
 T_B = 1e-3

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from heliograph.channel import ChannelSettings, ImuTrace, film_duration
 from heliograph.channel.motion import (
     ROUGHNESS_M3,
     STEP_M,
     STEP_S,
     HalfCar,
+    ImuTrace,
     Travel,
+    film_duration,
     imu_shake,
     motion,
     road_height,
@@ -20,6 +21,7 @@ from heliograph.channel.motion import (
     road_shake,
     roughness,
 )  # fmt: skip
+from heliograph.channel.settings import ChannelSettings
 
 
 @pytest.mark.parametrize("road_class", "AD")

@@ -8,8 +8,8 @@ from properties import examples
 from scipy.spatial.transform import Rotation
 
 from heliograph.base.arrays import Floats
-from heliograph.channel import ChannelSettings, Placement
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, rotation
+from heliograph.channel.settings import ChannelSettings, Placement
 
 CAMERA = ChannelSettings().camera
 TIME = np.array([0.5])

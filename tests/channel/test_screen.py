@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.config import from_mapping
 from heliograph.base.frames import Frame
-from heliograph.channel import ChannelSettings, Truth, film
+from heliograph.channel.camera import film
+from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.truth import Truth
 
 SIDE, PERIOD_S = 4, 0.1
 SENSOR: dict[str, Any] = {"full_well_e": 1e7, "dark_noise_e": 0}

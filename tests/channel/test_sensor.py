@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from heliograph.channel import NoiseModel
 from heliograph.channel.sensor import read_out
 from heliograph.channel.settings import SensorSettings
+from heliograph.channel.truth import NoiseModel
 
 U64 = np.uint64
 

@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from heliograph.base.config import from_mapping
-from heliograph.channel import ChannelSettings
 from heliograph.channel.background import Scenery
 from heliograph.channel.exposure import Faults, Lighting, PatternFeed
 from heliograph.channel.motion import motion
 from heliograph.channel.parts import BACKGROUNDS
 from heliograph.channel.render import Canvas, StillLight, render
+from heliograph.channel.settings import ChannelSettings
 from heliograph.channel.views import FilmScene, frame_block, windows
 
 FAULTS = {"x_m": 0, "y_m": 0, "dead": 0.05, "stuck": 0.05, "spread": 0.2, "clock_ppm": 200.0, "yaw_deg": 12.0}

@@ -16,7 +16,7 @@ from heliograph.experiments.demo.drive import Demonstration, cut_out_of, demo_me
 from heliograph.experiments.report import Report
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import Recordings
-from heliograph.receive import Pose
+from heliograph.receive.geometry.pose import Pose
 
 pytestmark = pytest.mark.slow
 SMALL = (

@@ -10,12 +10,12 @@ import pytest
 from film_checks import uniform, write_levels
 
 from heliograph.base.frames import Frame
-from heliograph.channel import Placement
+from heliograph.channel.settings import Placement
 from heliograph.experiments.detection import clutter
 from heliograph.experiments.detection import experiment as detection
 from heliograph.experiments.report import Context
 from heliograph.measure.statistics import Count
-from heliograph.receive import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.signal.header import IDENTITIES
 
 pytestmark = pytest.mark.slow

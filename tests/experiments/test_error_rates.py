@@ -22,7 +22,8 @@ from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.bench import run_block
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import Count
-from heliograph.receive import Packet, Receiver, make_receiver
+from heliograph.receive.api import make_receiver
+from heliograph.receive.packet import Packet, Receiver
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.plot import ARROW, BOUND, legend_entries
 

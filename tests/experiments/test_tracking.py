@@ -12,9 +12,9 @@ from heliograph.experiments.tracking import experiment as tracking
 from heliograph.experiments.tracking.experiment import KNOWN, OURS, TRACKERS, TrackingRun, TrackingScore, score
 from heliograph.experiments.tracking.trackers import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.receive import Pose
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit
+from heliograph.receive.geometry.pose import Pose
 
 pytestmark = pytest.mark.slow
 DAY, DARK = "day", "dark"

@@ -7,7 +7,7 @@ from known_packets import FORM, random_blocks, symbols_of
 from scenes import ALL_ON, SIDE, draw, frame_of, pitch_at
 
 from heliograph.base.arrays import Floats
-from heliograph.receive import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, Noise, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal import haar

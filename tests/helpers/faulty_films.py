@@ -10,7 +10,7 @@ import scenes
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.channel import film as filmed
+from heliograph.channel.camera import film as filmed
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.media import create_film

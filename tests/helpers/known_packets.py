@@ -17,13 +17,13 @@ from slot_light import light_about_mean, observed
 
 from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
-from heliograph.receive import Pose
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_iteratively
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import EqualiseEvent, ignore
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Noise
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import Words

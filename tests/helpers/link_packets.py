@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, default_messages, transmitters
+from heliograph.link.simulate import default_messages, transmitters
 from heliograph.measure.errors import ErrorCounter
-from heliograph.receive import Packet, Pose
 from heliograph.receive.decode.codeword import Decoding, decode_packet
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Packet
+from heliograph.transmit import Messages
 
 LAYERS = ("high", "middle", "low")
 

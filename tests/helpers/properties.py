@@ -3,7 +3,7 @@
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from heliograph.receive import Pose
+from heliograph.receive.geometry.pose import Pose
 
 
 def examples(count: int) -> settings:

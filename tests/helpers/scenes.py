@@ -14,8 +14,9 @@ from heliograph.base.threads import one_thread
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.measure.bench import run_block
-from heliograph.receive import Codeword, Packet, Pose, receive_frames
-from heliograph.receive.api import AnyObserver
+from heliograph.receive.api import AnyObserver, receive_frames
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Codeword, Packet
 from heliograph.signal.pwm import lit_slots
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ from scenes import SIDE, draw, pitch_at
 
 from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
-from heliograph.receive import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.observe.cutout import Noise, take_cutout
 from heliograph.receive.sync.combine import Combination, combine_pair

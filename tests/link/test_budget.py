@@ -13,7 +13,7 @@ from heliograph.link.budget import budgets, detection_range_m
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.events import DetectEvent, Event
 
 SMALL: dict[str, Any] = {"signal": {"side": 4, "data_pairs": 192}}

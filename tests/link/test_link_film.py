@@ -13,12 +13,13 @@ from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link import film as link_film
 from heliograph.link.film import packet_row, read_packets, write_film
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Messages, Recordings, simulate
+from heliograph.link.simulate import Recordings, simulate
 from heliograph.link.truth import open_truth, signal_of, truth_path
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import open_film
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.signal.message import Message
+from heliograph.transmit import Messages
 
 LONG = bytes(np.random.default_rng(5).integers(0, 256, 500, dtype=np.uint8))  # longer than four codewords of 116 bytes
 Sent = dict[tuple[int, str, int], bytes]

@@ -6,7 +6,7 @@ from operator import attrgetter
 import pytest
 
 from heliograph.base.errors import SettingsError
-from heliograph.channel import frame_count
+from heliograph.channel.camera import frame_count
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings, preset
 
 PAPER = load_settings("paper")

@@ -23,14 +23,14 @@ from properties import examples
 from scenes import link
 
 from heliograph.base.errors import MediaError
-from heliograph.channel import NoiseModel, Truth
-from heliograph.channel.truth import ArrayTruth
+from heliograph.channel.truth import ArrayTruth, NoiseModel, Truth
 from heliograph.link.film import write_film
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings
-from heliograph.link.simulate import Messages, simulate
+from heliograph.link.simulate import simulate
 from heliograph.link.truth import SIGNAL_TAG, TruthWriter, check_truth, open_truth, signal_of, truth_path
 from heliograph.media import create_film, open_film
 from heliograph.signal.settings import LAYERS
+from heliograph.transmit import Messages
 
 SETTINGS = link("channel.duration_s=0.03")
 MESSAGES: list[Messages] = [{"high": [b"one", b"two\x00"], "low": [bytes(range(256)) * 5]}]

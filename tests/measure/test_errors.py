@@ -12,8 +12,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages
 from heliograph.measure.counts import pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
-from heliograph.receive import Packet
-from heliograph.receive.packet import ERASED
+from heliograph.receive.packet import ERASED, Packet
 
 SETTINGS = link()
 K = 1024

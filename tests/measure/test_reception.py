@@ -13,16 +13,16 @@ from scenes import link
 from heliograph.base.errors import MediaError, SettingsError
 from heliograph.link.film import write_film
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Messages, default_messages
+from heliograph.link.simulate import default_messages
 from heliograph.link.truth import FrameTruth, open_truth, truth_path
 from heliograph.measure.journal import Journal, Row, approach, sentence
 from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import ReceptionCounter, receive_and_count, receive_film
 from heliograph.media import open_film
-from heliograph.receive import Packet
 from heliograph.receive.events import LostEvent
-from heliograph.receive.packet import Status
+from heliograph.receive.packet import Packet, Status
 from heliograph.receive.receiver import StreamReceiver
+from heliograph.transmit import Messages
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,8 @@ from faulty_films import CAMERA, FAULTY, KeptFilm, kept, link, mirrored
 from heliograph.base.config import from_mapping
 from heliograph.probe import Findings, probe_film
 from heliograph.probe.words import array_lines, would_be_lines
-from heliograph.receive import ReceiveSettings, receive_frames
+from heliograph.receive.api import receive_frames
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from screen_light import shown
 from heliograph.base.frames import Frame
 from heliograph.probe import probe_film
 from heliograph.probe.levels import overexposed_part
-from heliograph.receive import ReceiveSettings
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.sending import screen_settings, sending_of
 

@@ -19,7 +19,7 @@ from heliograph.probe.activity import MOST_FRAMES
 from heliograph.probe.arrays import ArrayWatch
 from heliograph.probe.page import write_page
 from heliograph.probe.words import as_mapping, in_short, lines
-from heliograph.receive import ReceiveSettings
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 pytestmark = pytest.mark.slow

@@ -14,10 +14,9 @@ from scenes import at_rest, drawn_film, film, link, received, statuses, words_of
 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet
 from heliograph.receive.decode.per_led import PlainPacket
 from heliograph.receive.decode.soft_packet import SoftPacket
-from heliograph.receive.packet import ERASED
+from heliograph.receive.packet import ERASED, Packet
 from heliograph.receive.track.tracker import Tracker
 
 PLAIN = link("signal.data_pairs=24")

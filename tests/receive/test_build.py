@@ -16,10 +16,12 @@ from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread, one_thread
 from heliograph.link.settings import load_settings
-from heliograph.receive import Packet, ReceiveSettings, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.decode import turbo_equaliser
 from heliograph.receive.equalise import led_gains, single_mode
 from heliograph.receive.equalise.lmmse import Estimate, equalise
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 

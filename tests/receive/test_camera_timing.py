@@ -12,9 +12,11 @@ from scenes import film, link, received, statuses, words_of
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, ReceiveSettings, receive_frames
+from heliograph.receive.api import receive_frames
 from heliograph.receive.events import ExtractEvent
 from heliograph.receive.geometry.window import CombinedFrame
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 

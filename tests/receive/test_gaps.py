@@ -12,7 +12,8 @@ from screen_light import shown
 
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, make_receiver
+from heliograph.receive.api import make_receiver
+from heliograph.receive.packet import Packet
 from heliograph.web.sending import screen_settings, sending_of
 
 Gap = tuple[int, float]  # first frame after the gap, and gap length in s

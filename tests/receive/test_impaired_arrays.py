@@ -14,7 +14,9 @@ from scenes import SIDE, codewords, draw, film, frame_of, link, received, status
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive import Packet, Pose, make_receiver
+from heliograph.receive.api import make_receiver
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Packet
 from heliograph.receive.sync.light_clock import measure_amplitudes
 from heliograph.signal.header import header_levels
 

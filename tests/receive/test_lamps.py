@@ -12,7 +12,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.detect.alternation import coarse_search
 from heliograph.receive.detect.budget import WORK_PER_MS, TokenBucket
 from heliograph.receive.detect.detection import headers

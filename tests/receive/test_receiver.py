@@ -19,9 +19,11 @@ from scenes import comparable, film, link, received, statuses, words_of
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.receive import Packet, ReceiveSettings, make_receiver, receive_frames
+from heliograph.receive.api import make_receiver, receive_frames
 from heliograph.receive.array import ArrayReceiver
 from heliograph.receive.events import DecodeEvent, DetectEvent, ExtractEvent, TrackEvent
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.pairing import FramePair, MeasuredHeader
 from heliograph.signal.settings import SignalSettings
 

@@ -15,9 +15,12 @@ from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive import LuminanceReceiver, Packet, Pose, ReceiveSettings, make_receiver, own_settings
-from heliograph.receive.api import choose_receiver, receive_frames, register_receiver
+from heliograph.receive.api import choose_receiver, make_receiver, own_settings, receive_frames, register_receiver
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.luminance_receiver import LuminanceReceiver
+from heliograph.receive.packet import Packet
 from heliograph.receive.registry import RECEIVERS
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 SIGNAL = SignalSettings()

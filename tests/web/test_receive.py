@@ -22,7 +22,7 @@ from heliograph.base.frames import Frame
 from heliograph.link.truth import signal_of
 from heliograph.media import open_film
 from heliograph.probe.screens import cells_of_a_side, patterns_per_s, usual
-from heliograph.receive import Packet
+from heliograph.receive.packet import Packet
 from heliograph.receive.screen.receiver import ScreenReceiver
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.camera_frames import HEAD, MAX_WAITING, CameraFrames

@@ -31,6 +31,7 @@ from heliograph.link.simulate import default_messages, simulate
 from heliograph.link.truth import truth_path
 from heliograph.media import create_film, open_film
 from heliograph.media.live.camera import register_camera
+from heliograph.receive.geometry.pose import Pose
 from heliograph.web.app import create_app
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.limits import Limits
@@ -263,7 +264,7 @@ def test_saved_film_is_a_window_about_the_array_below_50_mb(tmp_path: Path) -> N
     recorder = FailureRecorder(tmp_path, load_settings("paper").signal, rate_hz=1000.0)
     pixels = np.zeros((512, 1024), np.uint8)
     pixels[200, 700] = 255
-    pose = heliograph.receive.Pose(700.0, 200.0, 2.0)
+    pose = Pose(700.0, 200.0, 2.0)
     for k in range(5000):
         recorder.add_frame(Frame(k, k / 1000, pixels))
         if k == 260 or (k > 300 and k % 100 == 60):

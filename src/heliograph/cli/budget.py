@@ -23,7 +23,7 @@ from heliograph.link.simulate import transmitters
 from heliograph.measure.bench import lasting, random_messages
 from heliograph.signal import pwm
 from heliograph.signal.formats import MODES, Format
-from heliograph.sweeps.plan import grid, varied
+from heliograph.sweeps.plan import grid, parse_vary_options, varied
 
 DISTANCE = "channel.distance_m"
 
@@ -48,7 +48,7 @@ def budget(
     Geometry, lens, sensor and LEDs are settings of 'channel'; see --set and --vary.
     """
     light = LightSettings(candela=candela, f_number=f_number, efficiency=efficiency, wavelength_nm=wavelength_nm)
-    overlay, values = settings.overlay(), options.parse_vary_options(vary)
+    overlay, values = settings.overlay(), parse_vary_options(vary)
     if not values and "distance_m" not in overlay.get("channel", {}):
         values = {DISTANCE: [25, 40, 60, 80, 100, 125, 150, 200]}
     choices = grid(values)

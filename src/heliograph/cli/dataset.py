@@ -10,6 +10,7 @@ from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.datasets.dataset import SHEET, done, write
 from heliograph.datasets.plan import SPLITS, planned
+from heliograph.sweeps.plan import parse_vary_options
 
 
 def parse_shares(text: str) -> list[int]:
@@ -44,7 +45,7 @@ def dataset(
 
     The size is printed first. The same command continues a stopped run. DATASHEET.md in DIR describes the data set.
     """
-    overlay, values, shares = settings.overlay(), options.parse_vary_options(vary), parse_shares(splits)
+    overlay, values, shares = settings.overlay(), parse_vary_options(vary), parse_shares(splits)
     plan = planned(values, settings.preset, overlay, films, shares, packets, seed, background or [], imu)
     kept = len(done(plan, folder))
     volume = f"{plan.bytes / 1e9:.1f} GB" if plan.bytes >= 1e9 else f"{plan.bytes / 1e6:.1f} MB"

@@ -19,8 +19,9 @@ from heliograph.measure.reception import ReceptionCounter
 from heliograph.media import FilmReader
 from heliograph.media.live.reader import LiveReader, live_of
 from heliograph.media.live.recorder import Recorder
-from heliograph.receive import Packet, ReceiveSettings
 from heliograph.receive.events import DetectEvent, LostEvent, UnseenEvent
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 

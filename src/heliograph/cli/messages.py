@@ -12,7 +12,7 @@ from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.cli.options import SentOptions, read_toml
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import DEFAULT_TEXTS, Messages
+from heliograph.link.simulate import DEFAULT_TEXTS
 from heliograph.road.codec import mapem, updates
 from heliograph.road.junction import Junction
 from heliograph.signal.block import MAX_MESSAGE
@@ -20,6 +20,7 @@ from heliograph.signal.fountain.codes import CODES
 from heliograph.signal.fountain.files import SentFile
 from heliograph.signal.message import Updates
 from heliograph.signal.settings import LAYERS
+from heliograph.transmit import Messages
 from heliograph.transmit.transmitter import Content
 
 STDIN, TEXT = "-", "text:"

@@ -21,7 +21,6 @@ from heliograph.media import FilmReader
 from heliograph.media.live.reader import film_path, is_camera
 from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.settings import SignalSettings
-from heliograph.sweeps.plan import parse_vary
 
 
 def option(text: str, metavar: str | None = None, *names: str, default: Any = None, **settings: Any) -> Any:
@@ -82,16 +81,6 @@ def complete_receiver(start: str) -> list[str]:
 def complete_key(start: str) -> list[str]:
     """Return keys of settings for shell completion."""
     return [f"{key}=" for key in keys_of(LinkSettings) if key.startswith(start)]
-
-
-def parse_vary_options(texts: list[str] | None) -> dict[str, list[Any]]:
-    """Return the values of varied settings by key."""
-    vary: dict[str, list[Any]] = {}
-    for key, values in map(parse_vary, texts or ()):
-        if key in vary:
-            raise SettingsError(f"'{key}' is varied twice; write its values in one --vary")
-        vary[key] = values
-    return vary
 
 
 def vary_option(text: str) -> Any:

@@ -10,7 +10,7 @@ from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.executors import fewer_workers
-from heliograph.sweeps.plan import plan, size_warning
+from heliograph.sweeps.plan import parse_vary_options, plan, size_warning
 from heliograph.sweeps.sweep import bar, count
 from heliograph.sweeps.tally import PointTally, StopRule
 
@@ -31,7 +31,7 @@ def sweep(
     """Count errors over a grid of settings, without films."""
     limit_threads()
     overlay = settings.overlay()
-    points = plan(options.parse_vary_options(vary), settings.preset, overlay, scene.seed, scene.background, scene.imu)
+    points = plan(parse_vary_options(vary), settings.preset, overlay, scene.seed, scene.background, scene.imu)
     stop_rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
     tallies = [PointTally(point, stop_rule) for point in points]
     for text in filter(None, (size_warning(points), fewer_workers(crew.workers))):

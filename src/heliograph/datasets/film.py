@@ -14,7 +14,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.files import clear_write_errors, whole_file
 from heliograph.base.frames import Frame, Pixels
-from heliograph.channel import Truth
+from heliograph.channel.truth import Truth
 from heliograph.datasets.plan import PlannedFilm
 from heliograph.link.simulate import Recordings, simulate, transmitters
 from heliograph.link.truth import SIGNAL_TAG

@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.frames import Frame
-from heliograph.channel import ArrayTruth, Truth, film
+from heliograph.channel.camera import film
 from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.truth import ArrayTruth, Truth
 from heliograph.link.settings import LinkSettings, load_settings
-from heliograph.link.simulate import Messages, Recordings, simulate
+from heliograph.link.simulate import Recordings, simulate
 from heliograph.measure.bench import lasting, placed_within_pixel, window_margin_px
-from heliograph.receive import Packet, Pose, Receiver
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Packet, Receiver
+from heliograph.transmit import Messages
 
 
 def static_link(distance_m: float, rng: np.random.Generator, **changes: Any) -> LinkSettings:

@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.channel import ArrayTruth, film
+from heliograph.channel.camera import film
+from heliograph.channel.truth import ArrayTruth
 from heliograph.experiments import plots
 from heliograph.experiments.links import static_link, true_pose
 from heliograph.experiments.plots import DARK_GRAY
@@ -26,7 +27,7 @@ from heliograph.experiments.report import Context, ExperimentResult, Finding, Ta
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.bench import window_margin_px
 from heliograph.measure.statistics import Clustered, Count
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.decode.per_led import pair_luminances
 from heliograph.receive.events import Event, ExtractEvent
 from heliograph.signal import haar, ook

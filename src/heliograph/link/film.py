@@ -10,15 +10,16 @@ from typing import Any, Protocol
 from heliograph.base.errors import MediaError, counted
 from heliograph.base.files import room_for
 from heliograph.base.frames import Frame
-from heliograph.channel import frame_count
+from heliograph.channel.camera import frame_count
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, Recordings, simulate
+from heliograph.link.simulate import Recordings, simulate
 from heliograph.link.truth import TRUTH_TAG, TruthWriter, signal_note, truth_path
 from heliograph.media import create_film
 from heliograph.media.hdf5 import SUFFIXES as HDF5_SUFFIXES
-from heliograph.receive import Packet, Receiver
+from heliograph.receive.packet import Packet, Receiver
 from heliograph.signal.block import AnyBlock, FileBlock, FileNotice, SymbolBlock
 from heliograph.signal.settings import SignalSettings
+from heliograph.transmit import Messages
 
 FrameProgress = Callable[[int], None]  # callback with the number of completed frames
 

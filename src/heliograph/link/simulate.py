@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.files import read_bounded
 from heliograph.base.frames import Frame
-from heliograph.channel import Footage, ImuTrace, Truth, film
+from heliograph.channel.background import Footage
+from heliograph.channel.camera import film
+from heliograph.channel.motion import ImuTrace
+from heliograph.channel.truth import Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.media import open_film
-from heliograph.transmit import Content, Transmitter
+from heliograph.transmit import Messages, Transmitter
 
 IMU_COLUMNS = ("t_s", "gyro_fwd_rad_s", "gyro_right", "gyro_down", "speed_m_s")
 """Columns of a motion file: time, rates about the forward, right and down axes, car speed."""
@@ -60,10 +63,6 @@ def load_imu(path: Path) -> ImuTrace:
         return ImuTrace.from_columns(*(np.atleast_1d(table[name]) for name in IMU_COLUMNS))
     except ValueError as error:
         raise MediaError(f"{path}: {error}") from None
-
-
-Messages = Mapping[str, Sequence[Content]]
-"""Messages by layer: bytes, `Updates` or a `SentFile`."""
 
 
 @dataclass(frozen=True, kw_only=True)

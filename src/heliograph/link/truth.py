@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from heliograph.base.config import from_mapping, keys_of, merge
 from heliograph.base.errors import HeliographError, MediaError, brief
 from heliograph.base.files import LONGEST_NAME, clear_write_errors, whole_file
-from heliograph.channel import NoiseModel, Truth
+from heliograph.channel.truth import NoiseModel, Truth
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages
 from heliograph.media import FilmReader
 from heliograph.signal.block import MAX_MESSAGE
 from heliograph.signal.fountain.codes import CODES
@@ -33,7 +32,7 @@ from heliograph.signal.fountain.files import SentFile
 from heliograph.signal.header import IDENTITIES
 from heliograph.signal.message import MAX_MESSAGES, Updates
 from heliograph.signal.settings import LAYERS, SignalSettings
-from heliograph.transmit import Content
+from heliograph.transmit import Content, Messages
 
 MAX_ABOUT = 1 << 24  # maximum size in bytes of film metadata and of message updates
 BLOCK_ROWS = 4096  # rows per read

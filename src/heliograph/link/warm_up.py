@@ -9,7 +9,9 @@ import numpy as np
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.codec import encode
-from heliograph.receive import Packet, ReceiveSettings, make_receiver
+from heliograph.receive.api import make_receiver
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, transmitters
+from heliograph.link.simulate import transmitters
 from heliograph.measure.counts import LayerCounts, Layers, no_errors, pooled
 from heliograph.measure.statistics import Count
-from heliograph.receive import Packet
-from heliograph.receive.packet import ERASED
+from heliograph.receive.packet import ERASED, Packet
 from heliograph.signal.block import pack
-from heliograph.transmit import Transmitter
+from heliograph.transmit import Messages, Transmitter
 
 BIN_M = 5.0  # Width of a distance bin in m
 

@@ -10,9 +10,9 @@ import numpy as np
 from heliograph.base.frames import Frame
 from heliograph.link.film import packet_row
 from heliograph.measure.reception import file_counts
-from heliograph.receive import Packet
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, LostEvent, MissedStartEvent
+from heliograph.receive.packet import Packet
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.road.codec import group_words, road_values, road_words
 from heliograph.road.countdown import Countdown

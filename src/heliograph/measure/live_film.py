@@ -7,10 +7,11 @@ from itertools import islice
 import numpy as np
 
 from heliograph.base.frames import Frame
-from heliograph.channel import Truth
+from heliograph.channel.truth import Truth
 from heliograph.link.settings import LinkSettings
-from heliograph.link.simulate import Messages, Recordings, simulate
+from heliograph.link.simulate import Recordings, simulate
 from heliograph.link.truth import FrameTruth
+from heliograph.transmit import Messages
 
 
 class LiveFilm:

@@ -10,19 +10,19 @@ from heliograph.base.errors import SettingsError, shown
 from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, FrameSource, is_packet, read_packets, silent
 from heliograph.link.settings import LinkSettings, load_settings, preset
-from heliograph.link.simulate import Messages
 from heliograph.link.truth import FrameTruth, signal_of
 from heliograph.measure.errors import ErrorCounter
 from heliograph.media import FilmReader, open_film
-from heliograph.receive import Packet, make_receiver
-from heliograph.receive.api import AnyObserver, choose_receiver
+from heliograph.receive.api import AnyObserver, choose_receiver, make_receiver
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, DropEvent, MissedStartEvent
+from heliograph.receive.packet import Packet
 from heliograph.signal.block import Block, payload_bytes
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 from heliograph.signal.message import Message, Reassembler
 from heliograph.signal.settings import LAYERS, SignalSettings
+from heliograph.transmit import Messages
 
 
 class TruthSource(Protocol):

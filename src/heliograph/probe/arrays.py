@@ -15,10 +15,12 @@ from heliograph.link.film import is_packet
 from heliograph.measure.reception import ArrayTally
 from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.regions import Region
-from heliograph.receive import Packet, ReceiveSettings, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DecodeEvent, DetectEvent, TrackEvent
 from heliograph.receive.observe.cutout import Cutout, Noise, measure_noise
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.receive.track.track import Track
 from heliograph.signal.settings import SignalSettings

@@ -34,10 +34,9 @@ from heliograph.probe.reach import reaches
 from heliograph.probe.regions import Region, regions_of
 from heliograph.probe.screens import area_of, regions_in, screen_cause, screen_causes, screen_film_causes
 from heliograph.probe.trials import Remedy, find_remedy, find_turned_remedy, is_blurred, other_packets
-from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.window import Window
 from heliograph.receive.observe.cutout import Noise
-from heliograph.receive.settings import DetectSettings
+from heliograph.receive.settings import DetectSettings, ReceiveSettings
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 

@@ -15,10 +15,9 @@ from heliograph.probe.arrays import SLACK, Clock, Setup, Trial, clock_of, run_re
 from heliograph.probe.headers import HeaderMatch
 from heliograph.probe.light import LightRate
 from heliograph.probe.reach import MAX_PITCH_PX, MAX_SIDE, high_information
-from heliograph.receive import ReceiveSettings
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Noise
-from heliograph.receive.settings import SMALLEST_SIDE_PX
+from heliograph.receive.settings import SMALLEST_SIDE_PX, ReceiveSettings
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings
 

@@ -35,6 +35,16 @@ def parse_vary(text: str) -> tuple[str, list[Any]]:
     return key.strip(), _limited(key.strip(), parsed)
 
 
+def parse_vary_options(texts: Iterable[str] | None) -> dict[str, list[Any]]:
+    """Return the values of varied settings by key."""
+    vary: dict[str, list[Any]] = {}
+    for key, values in map(parse_vary, texts or ()):
+        if key in vary:
+            raise SettingsError(f"'{key}' is varied twice; write its values in one --vary")
+        vary[key] = values
+    return vary
+
+
 def grid(vary: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
     """Return all combinations of the values, the last key fastest; an empty combination for an empty grid."""
     lists = value_lists(vary)

@@ -1,5 +1,5 @@
 """Transmitter: messages to timed LED patterns."""
 
-from heliograph.transmit.transmitter import Content, TimedPattern, TransmitSettings, Transmitter
+from heliograph.transmit.transmitter import Content, Messages, TimedPattern, TransmitSettings, Transmitter
 
-__all__ = ["Content", "TimedPattern", "TransmitSettings", "Transmitter"]
+__all__ = ["Content", "Messages", "TimedPattern", "TransmitSettings", "Transmitter"]

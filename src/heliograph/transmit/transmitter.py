@@ -24,6 +24,8 @@ from heliograph.signal.settings import LAYERS, SignalSettings, check_signal
 
 Content = bytes | Updates | SentFile  # content of a layer
 
+Messages = Mapping[str, Sequence[Content]]  # messages by layer
+
 
 @clear_errors
 @checked(frozen=True, kw_only=True, config=CONFIG)

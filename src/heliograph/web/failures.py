@@ -15,7 +15,8 @@ from heliograph.base.frames import Frame
 from heliograph.link.truth import signal_note
 from heliograph.media import FilmWriter, create_film
 from heliograph.media.record import FASTEST_HZ
-from heliograph.receive import Packet, Pose
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Packet
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.stores import Store, StoredFilm
 

@@ -7,7 +7,7 @@ from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings
 from heliograph.media import open_film
 from heliograph.probe.choice import with_receiver_for
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.signal.settings import SignalSettings
 
 RECORDED_DRIVE = Path(__file__).with_name("recorded-drive.mp4")

@@ -16,9 +16,9 @@ from heliograph.link.settings import LinkSettings
 from heliograph.measure.journal import Journal, Row
 from heliograph.measure.reception import ReceptionCounter, receive_and_count
 from heliograph.media import FilmReader
-from heliograph.receive import Packet
 from heliograph.receive.api import AnyObserver
 from heliograph.receive.events import DecodeEvent, ignore
+from heliograph.receive.packet import Packet
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.message import Message
 from heliograph.signal.settings import SignalSettings

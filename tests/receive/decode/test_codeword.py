@@ -12,9 +12,8 @@ from scenes import levels, link
 
 from heliograph.base.arrays import Floats
 from heliograph.link.simulate import default_messages, transmitters
-from heliograph.receive import Codeword
 from heliograph.receive.decode.codeword import Decoding, Layer, SymbolMapper, decode_packet, soft_to_llr
-from heliograph.receive.packet import ERASED
+from heliograph.receive.packet import ERASED, Codeword
 from heliograph.signal.block import AnyBlock, Block
 from heliograph.signal.code import Algorithm
 from heliograph.signal.formats import Format

@@ -13,7 +13,6 @@ from scenes import SIDE, drawn_film, film, link, received, statuses, words_of
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.receive import Codeword, Packet, Pose
 from heliograph.receive.decode import soft_packet
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.header_reader import HeaderReader
@@ -22,9 +21,10 @@ from heliograph.receive.decode.turbo_equaliser import TurboEqualiser, decode_ite
 from heliograph.receive.equalise.led_gains import DecodedPair, LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, ExtractEvent
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, Noise
 from heliograph.receive.observe.statistics import PairStatistics
-from heliograph.receive.packet import Words
+from heliograph.receive.packet import Codeword, Packet, Words
 from heliograph.signal.settings import SignalSettings
 
 SETTINGS = link("receive.receiver=soft", "signal.data_pairs=24")

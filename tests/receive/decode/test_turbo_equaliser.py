@@ -15,11 +15,11 @@ from scenes import SIDE, pitch_at
 from heliograph.base.arrays import Floats
 from heliograph.base.threads import one_thread
 from heliograph.measure.statistics import clopper_pearson
-from heliograph.receive import Pose
 from heliograph.receive.decode.combining import BufferedPacket, SoftBuffer, is_consistent
 from heliograph.receive.decode.turbo_equaliser import update_channel
 from heliograph.receive.equalise.lmmse import LARGEST_LLR, equalise
 from heliograph.receive.events import EqualiseEvent
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.packet import ERASED, Words, hard_decisions
 from heliograph.receive.settings import Feedback

@@ -20,7 +20,8 @@ from waiting import HANG_S
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Packet, array, build, make_receiver
+from heliograph.receive import array, build
+from heliograph.receive.api import make_receiver
 from heliograph.receive.decode import worker
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.soft_packet import SoftPacket
@@ -28,6 +29,7 @@ from heliograph.receive.decode.worker import MAX_ARRAYS, MAX_BUFFERS, ArrayKey, 
 from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
+from heliograph.receive.packet import Packet
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 

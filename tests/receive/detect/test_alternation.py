@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scenes import SIDE
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
 from heliograph.receive.detect import alternation, kernels
 from heliograph.receive.detect.alternation import ALTERNATION, DETECT, DIFFERENCE, FrameWeights
+from heliograph.receive.geometry.pose import Pose
 from heliograph.signal.header import all_header_cells
 
 

@@ -15,7 +15,8 @@ from search_scenes import HEADER, flicker, search_parameters, shown_patterns
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
-from heliograph.receive import Packet, ReceiveSettings, build, make_receiver
+from heliograph.receive import build
+from heliograph.receive.api import make_receiver
 from heliograph.receive.detect.alternation import SearchParameters, SearchRegion
 from heliograph.receive.detect.budget import WORK_PER_MS, NoveltyFilter, SearchLoad, TokenBucket
 from heliograph.receive.detect.detection import headers
@@ -24,7 +25,8 @@ from heliograph.receive.detect.search import PyramidSearch
 from heliograph.receive.events import DropEvent
 from heliograph.receive.geometry.pose import UPRIGHT
 from heliograph.receive.geometry.window import CombinedFrame
-from heliograph.receive.settings import DetectSettings
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import DetectSettings, ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 
 Change = NDArray[np.float32]

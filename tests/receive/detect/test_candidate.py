@@ -8,10 +8,10 @@ from drawn_packets import drawn_pair
 from numpy.typing import NDArray
 from scenes import ALL_ON, SIDE, Floats, draw, frame_of, pitch_at
 
-from heliograph.receive import Pose
 from heliograph.receive.detect.alternation import DETECT
 from heliograph.receive.detect.candidate import cell_weights, estimate_drift, find_lit_cells, fit_header, fit_near
 from heliograph.receive.detect.header_format import FormatReader
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal.formats import AGREED, ALL_MODES, SHORT_PAIRS, words
 from heliograph.signal.header import header_cells, header_levels, signalling_levels

@@ -6,11 +6,10 @@ from numpy.typing import NDArray
 from scenes import SIDE, Floats, draw, pitch_at
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
 from heliograph.receive.detect.detection import headers
 from heliograph.receive.detect.frame_window import copies_before, crop_to_common, fill_missing
 from heliograph.receive.detect.header_format import header_score, header_weights
-from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.sync.combine import combine_header
 from heliograph.receive.sync.pairing import FramePair

@@ -13,13 +13,12 @@ from search_scenes import HEADER, search_parameters
 
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
 from heliograph.receive.detect import search as pyramid
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.frame_window import first_present
 from heliograph.receive.detect.search import HeaderSearch, PyramidSearch, level_parameters
-from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, pose_of
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose, pose_of
 from heliograph.receive.geometry.view import View, halved
 from heliograph.receive.geometry.window import Window
 from heliograph.signal.header import header_levels

@@ -9,10 +9,11 @@ from known_packets import FORM
 from scenes import ALL_ON, SIDE, Floats, draw, film, frame_of, link, pitch_at
 
 from heliograph.base.threads import one_thread
-from heliograph.receive import Pose, receive_frames
+from heliograph.receive.api import receive_frames
 from heliograph.receive.equalise import led_gains
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket, align_by_power, is_significant, smoothed_errors
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Cutout, take_cutout
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.signal.formats import Format

@@ -9,9 +9,9 @@ from scenes import ALL_ON, Floats, draw, frame_of, pitch_at
 from scipy.special import erf
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
 from heliograph.receive.equalise import single_mode
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker, HeaderPair, fit_background
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.kalman import MotionModel, PoseState
 from heliograph.receive.track.track import Track

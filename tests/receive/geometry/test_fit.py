@@ -8,9 +8,9 @@ import pytest
 from scenes import ALL_ON, SIDE, Floats, draw, pitch_at
 from scipy.special import ndtr
 
-from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import Fit, RenderCache, correlation, fit_array, robust_std
 from heliograph.receive.geometry.kernels import FIT
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
 from heliograph.signal.header import header_levels
 

@@ -9,10 +9,10 @@ from properties import examples, poses
 from scenes import ALL_ON, SIDE, draw, pitch_at
 from scipy.special import ndtr
 
-from heliograph.receive import Pose
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.footprint import footprints, image_of, images_of, sum_of_leds, to_grid, to_quarters
 from heliograph.receive.geometry.kernels import median, normal, smallest
+from heliograph.receive.geometry.pose import Pose
 
 SHAPE = (40, 44)
 CUT = 5e-4  # light fraction beyond 4 standard deviations in x and y

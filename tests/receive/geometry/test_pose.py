@@ -10,9 +10,8 @@ from properties import examples, poses
 from scenes import draw
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import Fit, fit_array
-from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, rim_distance
+from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation, Pose, rim_distance
 from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.geometry.window import common, covered, cut_out, plane, window_around
 

@@ -12,8 +12,8 @@ from scipy.special import erf
 from whole_pairs import CUT, GAIN, MOTIONS, ROLLS, SYMBOLS, T, WholePair, combination, moving, pair_of, random_levels
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
 from heliograph.receive.geometry.footprint import footprints, image_of, sum_of_leds
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import window_around
 from heliograph.receive.observe import statistics
 from heliograph.receive.observe.cutout import Cutout, Noise, _unevenness, measure_noise, noise_beside, take_cutout

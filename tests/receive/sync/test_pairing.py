@@ -12,8 +12,8 @@ from properties import examples
 from scenes import film, link, pitch_at
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
 from heliograph.receive.geometry.fit import header_amplitudes
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.sync.pairing import (
     AsynchronousPairing,

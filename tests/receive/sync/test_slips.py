@@ -9,7 +9,7 @@ import slips_oracle as reference
 from scenes import ALL_ON, SIDE, draw, frame_of
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.sync import kernels
 from heliograph.receive.sync.slips import SlipWatch
 from heliograph.signal.header import header_levels

@@ -12,9 +12,12 @@ from scipy.ndimage import gaussian_filter1d
 from search_scenes import shown_patterns
 
 from heliograph.base.frames import Frame
-from heliograph.receive import Packet, Pose, ReceiveSettings, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.packet import Packet
+from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track import kernels
 from heliograph.receive.track import track as visibility

@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from heliograph.base.arrays import Floats
-from heliograph.channel import ArrayTruth
+from heliograph.channel.truth import ArrayTruth
 from heliograph.experiments.links import receive_packets
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.measure.bench import block_settings, dithered, random_messages
 from heliograph.measure.statistics import Clustered
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.events import EqualiseEvent, Event
 from heliograph.signal.block import pack
 

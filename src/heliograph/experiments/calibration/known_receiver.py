@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.base.threads import one_thread
-from heliograph.channel import ArrayTruth
+from heliograph.channel.truth import ArrayTruth
 from heliograph.experiments.links import receive_packets, true_pose
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import transmitters
 from heliograph.measure.bench import dithered, lasting, random_messages
 from heliograph.measure.statistics import Count
-from heliograph.receive import Receiver, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.build import soft_receiver
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.combining import SoftBuffer
@@ -28,6 +28,7 @@ from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.pose_refinement import ObservedPacket
 from heliograph.receive.events import ExtractEvent, Observer, ignore
 from heliograph.receive.observe.cutout import Noise, take_cutout
+from heliograph.receive.packet import Receiver
 from heliograph.receive.sync.pairing import FramePair
 from heliograph.receive.track.track import TrackedPair
 

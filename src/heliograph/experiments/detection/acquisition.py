@@ -16,7 +16,7 @@ from heliograph.experiments.report import Context
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.bench import random_messages
 from heliograph.measure.statistics import Count
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, Event, TrackEvent
 from heliograph.signal.header import IDENTITIES

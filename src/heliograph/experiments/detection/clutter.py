@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats, Gray
 from heliograph.base.frames import Frame
-from heliograph.channel import Footage, ImuTrace, Placement, film
-from heliograph.channel.background import cover_size, draw_scene
-from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.background import Footage, cover_size, draw_scene
+from heliograph.channel.camera import film
+from heliograph.channel.motion import ImuTrace
+from heliograph.channel.settings import ChannelSettings, Placement
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import load_footage
-from heliograph.receive import Pose
+from heliograph.receive.geometry.pose import Pose
 from heliograph.signal.block import Block
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings

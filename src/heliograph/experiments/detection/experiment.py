@@ -32,8 +32,7 @@ from matplotlib.ticker import NullFormatter
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
-from heliograph.channel import Placement
-from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.settings import ChannelSettings, Placement
 from heliograph.experiments import plots
 from heliograph.experiments.detection.clutter import (
     LAMPS,
@@ -55,14 +54,13 @@ from heliograph.experiments.report import (
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import load_imu
 from heliograph.measure.statistics import Count
-from heliograph.receive import Pose
 from heliograph.receive.build import search_parameters
 from heliograph.receive.detect.alternation import DETECT, alternation_means, alternation_of, busy_blocks, coarse_search
 from heliograph.receive.detect.candidate import cell_weights, fit_near, is_in_size_range, is_plausible
 from heliograph.receive.detect.detection import ALL_ON, Detection, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.detect.search import PyramidSearch
-from heliograph.receive.geometry.pose import UPRIGHT
+from heliograph.receive.geometry.pose import UPRIGHT, Pose
 from heliograph.receive.geometry.window import CombinedFrame
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.header import IDENTITIES

@@ -31,7 +31,8 @@ from heliograph.measure.bench import random_messages
 from heliograph.measure.counts import LayerCounts, Layers, pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.measure.statistics import Clustered, Count
-from heliograph.receive import Packet, make_receiver
+from heliograph.receive.api import make_receiver
+from heliograph.receive.packet import Packet
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.plot import LAYER_COLOURS

@@ -25,8 +25,9 @@ from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import ReceptionCounter, TruthSource, receive_and_count
 from heliograph.measure.statistics import Count
 from heliograph.media import open_film
-from heliograph.receive import Packet, make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.receive.events import DetectEvent, Event
+from heliograph.receive.packet import Packet
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from heliograph.experiments.links import receive_packets
 from heliograph.experiments.report import Context
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.measure.statistics import Count
-from heliograph.receive import make_receiver
+from heliograph.receive.api import make_receiver
 from heliograph.signal.packet import PacketFormat
 
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.channel import ArrayTruth
+from heliograph.channel.truth import ArrayTruth
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link, film_at_rest
 from heliograph.experiments.report import Context, ExperimentResult, Finding, verdict_of
-from heliograph.receive import Pose
 from heliograph.receive.decode import kernels
+from heliograph.receive.geometry.pose import Pose
 from heliograph.signal import haar
 
 RESOLVED = (1 - 0.735) / (1 + 0.735)

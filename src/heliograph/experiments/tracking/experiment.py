@@ -37,7 +37,8 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
-from heliograph.channel import ArrayTruth, Truth, film
+from heliograph.channel.camera import film
+from heliograph.channel.truth import ArrayTruth, Truth
 from heliograph.experiments import plots
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.experiments.tracking.trackers import (
@@ -53,10 +54,10 @@ from heliograph.experiments.tracking.trackers import (
 )
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, default_messages, load_footage, load_imu, simulate
-from heliograph.receive import Pose
 from heliograph.receive.build import search_parameters
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.detect.search import PyramidSearch
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import cut_out
 
 KNOWN, OURS = "known pattern", "inverted signals"

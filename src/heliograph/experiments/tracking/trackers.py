@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats, Gray
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive import Pose
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.kernels import FIT
+from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import cut_out, window_around
 from heliograph.receive.sync.pairing import FramePair, sum_late_s
 from heliograph.receive.track.kalman import POSE, POSE_SIZE, MotionModel, PoseState
