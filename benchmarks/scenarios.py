@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.random import Generator
 
 from heliograph.base.frames import Frame
-from heliograph.channel import Truth
+from heliograph.channel.truth import Truth
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import Recordings, load_footage, load_imu
 from heliograph.signal.settings import LAYERS
@@ -177,10 +178,12 @@ def draw_phone(preset: str, rng: Generator, **changes: Any) -> LinkSettings:
     return load_settings(preset, None, [f"{key}={value}" for key, value in (values | changes).items()])
 
 
-def draw_near_phone(side: int, fps: int, rng: Generator) -> Film:
-    """Draw a 1080p film of a near screen with many cells: 30 degrees of tilt, glare, H.264."""
-    focal_px = 0.75 * 1920
-    distance = 0.32 * focal_px / rng.uniform(650, 850)
+FOCAL_PX = 0.75 * 1920  # of a phone in 1080p
+
+
+def draw_near_phone(side: int, fps: int, rng: Generator, **changes: Any) -> Film:
+    """Draw a 1080p film of a near screen: 30 degrees of tilt, glare, H.264; `changes` replace drawn values."""
+    distance = 0.32 * FOCAL_PX / rng.uniform(650, 850)
     settings = draw_phone(
         {30: "phone-15", 60: "phone-60"}[fps],
         rng,
@@ -197,10 +200,11 @@ def draw_near_phone(side: int, fps: int, rng: Generator) -> Film:
             "channel.arrays.0.roll_deg": rng.uniform(-4, 4),
             "channel.camera.width": 1920,
             "channel.camera.height": 1080,
-            "channel.camera.pixel_m": 0.004 / focal_px,
+            "channel.camera.pixel_m": 0.004 / FOCAL_PX,
             "channel.camera.row_time_s": min(rng.uniform(0.005, 0.03), 0.98 / fps) / 1080,
             "channel.emitter.panel_level": rng.uniform(0.005, 0.1),
-        },
+        }
+        | changes,
     )
     return Film(settings, None, whole_frames=True, mbit_s=rng.uniform(10, 40))
 
@@ -354,12 +358,22 @@ for _rate in PHONES:
     _register_phone(_rate)
 
 
-def _register_near_phone(side: int, fps: int) -> None:
-    @scenario(f"1080p{fps}, {side} cells", 5, ("screen",))
+def _register_near_phone(name: str, side: int, fps: int, **changes: Any) -> None:
+    @scenario(f"1080p{fps}, {side} cells{name}", 5, ("screen",))
     def _near_phone(rng: Generator, _number: int) -> Film:
-        return draw_near_phone(side, fps, rng)
+        return draw_near_phone(side, fps, rng, **changes)
 
 
-for _side in (32, 48, 64, 96, 128):
-    for _fps in (30, 60):
-        _register_near_phone(_side, _fps)
+for _fps in (30, 60):
+    for _side in (32, 48, 64, 96, 128):
+        _register_near_phone("", _side, _fps)
+        _register_near_phone(" without inverses", _side, _fps, **{"transmit.formats.0.mode": "single"})
+
+for _px, _tilt, _hand in product((4, 5, 6, 8, 12), (0, 15, 30), (0.2, 1.0)):
+    _register_near_phone(
+        f" of {_px} px, tilt {_tilt} deg, shake {_hand} deg", 64, 60,
+        **{
+            "channel.distance_m": 0.32 * FOCAL_PX / (64 * _px), "channel.arrays.0.x_m": 0.0,
+            "channel.arrays.0.yaw_deg": _tilt, "channel.arrays.0.pitch_deg": 0.0, "channel.hand_deg": _hand,
+        },
+    )  # fmt: skip

@@ -55,8 +55,8 @@ class Format:
     ----------
     mode
         "paired": an inverted pattern follows every data pattern. "single": every data pattern carries new data, which
-        doubles the data rate (minus 1/32 at 16 x 16 LEDs) and requires the receiver "soft". "short": like "paired" with
-        13 data pairs, so that packets from a slow light take seconds; ``signal.data_pairs`` must be 13.
+        doubles the data rate (minus 1/32 at 16 x 16 LEDs) and requires the receiver "soft" or "screen". "short": like
+        "paired" with 13 data pairs, so that packets from a slow light take seconds; ``signal.data_pairs`` must be 13.
     high
         Turbo code rate in the high layer in information bits per sent bit: 2/5, 1/2, 3/5, 2/3, 3/4, 5/6 or 9/10;
         default ``signal.rate.high``. A higher rate carries more data and tolerates less noise.

@@ -1,5 +1,7 @@
 """Light clock estimation from cell luminance, and headers in solved pairs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ def seen(clock: Clock, frames: int, row_s: float | None = None, noise: float = 0
     times = 0.5 + FRAME_S * np.arange(frames, dtype=float)
     rows = np.ones((frames, SIDE, SIDE)) * np.linspace(100, 600, SIDE)[None, :, None]
     fine = np.arange(0, times[-1] + 0.1, 5e-4)
-    pair, half = np.divmod(fine - clock.start_s, 2 * clock.period_s)
+    pair, half = np.divmod(fine - clock.start_s, clock.step_s)
     sign = np.where(half < clock.period_s, 1, -1)
     shown = 2 + data[np.clip(pair.astype(int), 0, None)] * np.where(pair >= 0, sign, 0)[:, None, None]
     light = np.empty_like(shown)
@@ -60,6 +62,29 @@ def test_pairs_are_solved_with_a_known_clock() -> None:
     for pair, found in zip(pairs, solved, strict=False):
         if TRUE.start_of(pair) > 0.55 and TRUE.start_of(pair + 1) < 1.95:
             assert found == pytest.approx(data[pair], abs=0.15)
+
+
+def test_patterns_without_inverses_are_found_and_solved() -> None:
+    true = replace(TRUE, paired=False)
+    samples, data = seen(true, 48), change(1, 40)
+    left, clock = samples.search([0.1], paired=False)[0]
+    assert left < 0.02
+    assert clock.period_s == pytest.approx(0.1, rel=3e-3)
+    assert samples.repetition(clock) < 0.5
+    assert samples.search([0.1])[0][0] > 0.3
+    (patterns, solved, _, _), _ = solve_pairs(samples, true, samples.light)
+    inner = [k for k, p in enumerate(patterns) if true.start_of(p) > 0.55 and true.start_of(p + 1) < 2.0]
+    expected = data[np.array(patterns)[inner]]
+    # each cell has an unknown constant light
+    assert solved[inner] - solved[inner].mean(0) == pytest.approx(expected - expected.mean(0), abs=0.2)
+
+
+@pytest.mark.parametrize("period_s", [0.1, 0.2, 0.3])
+def test_pairs_of_slower_patterns_are_no_patterns_without_inverses(period_s: float) -> None:
+    samples = seen(replace(TRUE, period_s=period_s), 60)
+    left, clock = samples.search([0.1], paired=False)[0]
+    assert left < 0.05
+    assert samples.repetition(clock) > 0.9
 
 
 def test_known_row_time_is_kept() -> None:

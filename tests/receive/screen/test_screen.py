@@ -65,6 +65,17 @@ def test_phones_of_any_rate_read_a_screen(preset: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("modes", [("single",), ("short", "single"), ("single", "short")])
+def test_packets_without_inverses_are_read(modes: tuple[str, ...]) -> None:
+    formats = [f"transmit.formats=[{', '.join(f'{{mode={mode!r}}}' for mode in modes)}]"]
+    settings = link("phone-60", 2.2, "channel.camera.gain_swing=0.1", "channel.emitter.all_on=0.8", *formats)
+    packets = received(frames(settings), settings)
+    assert statuses(packets)[:2] == ["ok", "ok"]
+    assert [packet.format.mode for packet in packets[:2]] == [*modes, *modes][:2]
+    assert len(packets[0].layers["low"][0].raw) == (1 if modes[0] == "short" else 2) * 13 * 64
+
+
+@pytest.mark.slow
 def test_file_is_received_from_8_by_8_cells_at_an_unknown_rate_and_packet_length() -> None:
     file, files, whole = SentFile("a.txt", bytes(range(50))), FileGatherer(), list[WholeFile]()
     form = [f"transmit.formats.0.{layer}=3/4" for layer in LAYERS]

@@ -48,7 +48,10 @@ def decode_packet(
 ) -> dict[str, tuple[Codeword, ...]]:
     """Decode all layers of a packet."""
     soft = form.split(form.soft_data(luminances))
-    received = {name: form.layers[name].deinterleave(soft_to_llr(values, seen)) for name, values in soft.items()}
+    llrs = np.concatenate([soft_to_llr(values, seen) for values in soft.values()], axis=1)
+    high = form.layers["high"]
+    bits = SymbolMapper(form).bits(llrs, [np.zeros((high.pairs, high.symbols))])
+    received = {name: layer.deinterleave(part) for (name, layer), part in zip(form.layers.items(), bits, strict=True)}
     # codewords of equal codes are decoded together
     groups: dict[Code, list[tuple[str, int]]] = defaultdict(list)
     for name, rows in received.items():

@@ -5,9 +5,9 @@ A pair of patterns has the levels 2 + d and 2 - d, so that a cell shows
     y_i = g_i (c + sum_p d_p q(t_i + r y - 2 p T)),   q = w(t) - w(t - T)
 
 with the mean light w(t) of a pattern over an exposure from t on, the time t_i of frame i, the row time r, the
-sensor row y of the cell, the pattern period T and the gain g_i of the camera. Given phase, row time, exposure and
-response, the d are linear least squares; the residual judges the other parameters (variable projection). No header is
-needed.
+sensor row y of the cell, the pattern period T and the gain g_i of the camera. Without inverses, in the single mode,
+q = w(t) with a period of T. Given phase, row time, exposure and response, the d are linear least squares; the residual
+judges the other parameters (variable projection). No header is needed.
 """
 
 from collections import deque
@@ -32,7 +32,7 @@ ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), 0.03)).tolist())
 class Clock:
     """Timing of the light and of the exposures."""
 
-    # Start of a pair in camera time
+    # Start of a pair, or of a pattern without inverses, in camera time
     start_s: float
     # Pattern period T in camera time
     period_s: float
@@ -42,14 +42,21 @@ class Clock:
     exposure_s: float
     # Time constant of the display: 2 to 15 ms
     response_s: float = 0.005
+    # True for pairs of pattern and inverse
+    paired: bool = True
+
+    @property
+    def step_s(self) -> float:
+        """Duration of a pair, or of a pattern without inverses."""
+        return (1 + self.paired) * self.period_s
 
     def pair_at(self, time_s: float) -> float:
         """Convert a time to pairs since the start."""
-        return (time_s - self.start_s) / (2 * self.period_s)
+        return (time_s - self.start_s) / self.step_s
 
     def start_of(self, pair: float) -> float:
         """Return the start of a pair in seconds."""
-        return self.start_s + 2 * pair * self.period_s
+        return self.start_s + pair * self.step_s
 
     def pairs(self, times_s: Floats, rows: Floats) -> range:
         """Return the pairs that overlap the exposures of rows in frames."""
@@ -59,11 +66,11 @@ class Clock:
 
     def design(self, times_s: Floats, pairs: Sequence[int]) -> Floats:
         """Return q for exposures that begin at given times, (..., pairs)."""
-        t = times_s[..., None] - self.start_s - 2 * self.period_s * np.asarray(pairs)
-        # q is the second difference of the integral of the step response
-        edges = (t, t - self.period_s, t - 2 * self.period_s)
-        a, b, c = (self._ramp(edge + self.exposure_s) - self._ramp(edge) for edge in edges)
-        return (a - 2 * b + c) / self.exposure_s
+        t = times_s[..., None] - self.start_s - self.step_s * np.asarray(pairs)
+        # differences of the integral of the step response: the first is w, the second q of a pair
+        edges = [t - k * self.period_s for k in range(2 + self.paired)]
+        lit = np.stack([self._ramp(edge + self.exposure_s) - self._ramp(edge) for edge in edges])
+        return np.asarray((-1) ** (1 + self.paired) * np.diff(lit, 1 + self.paired, axis=0)[0]) / self.exposure_s
 
     def _ramp(self, t: Floats) -> Floats:
         """Return the integral of the step response of the display."""
@@ -108,16 +115,28 @@ class Samples:
             return 1.0
         # work of a clock and of a product
         self._budget.spend(5000 + 0.008 * rows * frames * len(pairs) * (frames + len(pairs)))
-        m = clock.design(self.times_s + clock.row_s * self._bins, pairs)
-        m = self._root * (m - (self._share * m).sum(1, keepdims=True))
-        gram = m.transpose(0, 2, 1) @ m
-        loading = 1e-3 * 2 * frames / len(pairs) * np.eye(len(pairs))
-        b = m.transpose(0, 2, 1) @ self._gram @ m
-        explained = float(np.trace(np.linalg.solve(gram + loading, b), axis1=1, axis2=2).sum())
+        gram, b = self._products(clock, pairs)
+        explained = float(np.trace(np.linalg.solve(gram, b), axis1=1, axis2=2).sum())
         left = max(self._power - explained, 0.0) / max(self._power, TINY)
         return left * (frames - 1) / (frames - 1 - len(pairs))
 
-    def search(self, periods: Iterable[float]) -> list[RatedClock]:
+    def _products(self, clock: Clock, pairs: range) -> tuple[Floats, Floats]:
+        """Return the products of the pairs, loaded, and of the pairs with the light, (bins, pairs, pairs)."""
+        m = clock.design(self.times_s + clock.row_s * self._bins, pairs)
+        m = self._root * (m - (self._share * m).sum(1, keepdims=True))
+        transposed = m.transpose(0, 2, 1)
+        loading = 1e-3 * 2 * len(self.times_s) / len(pairs) * np.eye(len(pairs))
+        return transposed @ m + loading, transposed @ self._gram @ m
+
+    def repetition(self, clock: Clock) -> float:
+        """Return the mean absolute correlation of every other pattern with the next: 1 for pairs of any rate."""
+        gram, b = self._products(clock, clock.pairs(self.times_s, self._bins))
+        power = np.linalg.solve(gram, np.linalg.solve(gram, b).transpose(0, 2, 1)).sum(0)
+        scale = np.sqrt(np.diag(power))
+        product, scales = np.abs(np.diag(power, 1)), scale[1:] * scale[:-1]
+        return max(float(product[start::2].sum() / scales[start::2].sum()) for start in (0, 1))
+
+    def search(self, periods: Iterable[float], paired: bool = True) -> list[RatedClock]:
         """Search clocks of some pattern periods, the best first."""
         frame_s, length = self._frame_s, float(self.times_s[-1] - self.times_s[0])
         # phones take 5 to 30 ms for all rows, and at most a frame period
@@ -126,14 +145,14 @@ class Samples:
         # below 1.7 frame periods some rows never show a single pattern
         tried = [period for period in periods if period >= 1.7 * frame_s and length >= 4 * period]
         if len(tried) > PARAMETERS.best_rates:
-            rough = [rows[len(rows) // 2]], [0.6 * frame_s]
-            best = sorted((self._rough_clocks(period, *rough, 8)[0] for period in tried), key=lambda clock: clock[0])
+            rough = [rows[len(rows) // 2]], [0.6 * frame_s], 8, paired
+            best = sorted((self._rough_clocks(period, *rough)[0] for period in tried), key=lambda clock: clock[0])
             tried = [clock.period_s for left, clock in best if left < PARAMETERS.max_rough_unexplained]
         exposures = [0.3 * frame_s, 0.9 * frame_s]
         clocks = [
             clock
             for period in tried[: PARAMETERS.best_rates]
-            for clock in self._rough_clocks(period, rows, exposures, 16)[: PARAMETERS.best_clocks]
+            for clock in self._rough_clocks(period, rows, exposures, 16, paired)[: PARAMETERS.best_clocks]
             # a wrong rate needs no refinement
             if clock[0] < PARAMETERS.max_rough_unexplained
         ]
@@ -141,12 +160,12 @@ class Samples:
         return sorted((self.refine(clock) for _, clock in clocks), key=lambda clock: clock[0])
 
     def _rough_clocks(
-        self, period_s: float, rows_s: list[float], exposures_s: list[float], phases: int
+        self, period_s: float, rows_s: list[float], exposures_s: list[float], phases: int, paired: bool
     ) -> list[RatedClock]:
         """Try phases, row times and exposures of a rate; return the clocks, the best first."""
-        starts_s = (float(self.times_s[0]) + 2 * period_s * np.arange(phases) / phases).tolist()
+        starts_s = (float(self.times_s[0]) + (1 + paired) * period_s * np.arange(phases) / phases).tolist()
         clocks = [
-            Clock(start_s, period_s, row, min(exposure, period_s))
+            Clock(start_s, period_s, row, min(exposure, period_s), paired=paired)
             for start_s, row, exposure in product(starts_s, rows_s, exposures_s)
         ]
         return sorted(((self.unexplained(clock), clock) for clock in clocks), key=lambda clock: clock[0])
@@ -165,7 +184,7 @@ class Samples:
 
         def bounded(values: Floats) -> Clock:
             row, exposure, response = np.clip(values[1:4], low, high).tolist()
-            return Clock(float(values[0]), float(values[4]), row, exposure, response)
+            return Clock(float(values[0]), float(values[4]), row, exposure, response, clock.paired)
 
         def cost(steps: Floats) -> float:
             values = start + steps * scale
@@ -192,7 +211,9 @@ class SampleBuffer:
         self._readout = 1, False
         self._samples: deque[Sample] = deque()
         usual = [1 / rate for rate in RATES if abs(rate * period_s - 1) > 0.015]
-        self._periods = [[period_s], *([usual, [1 / rate for rate in ANY_RATES]] if settings.find_rate else ())]
+        others = [(usual, True), ([1 / rate for rate in ANY_RATES], True)] if settings.find_rate else []
+        # rates to try in turn, and True for pairs
+        self._searches = [([period_s], True), ([period_s], False), *others]
         self._next_s = -np.inf
 
     @property
@@ -251,8 +272,8 @@ class SampleBuffer:
         # other rates explain a part of a slow light: the nominal rate comes first
         waits = length < PARAMETERS.min_patterns * self._period_s and not final
         best: tuple[float, Clock, float] | None = None
-        for periods in self._periods[: 1 if waits else None]:
-            best = min(filter(None, (best, self._search_rates(periods))), key=lambda rated: rated[0], default=None)
+        for rates in self._searches[: 1 if waits else None]:
+            best = min(filter(None, (best, self._search_rates(*rates))), key=lambda rated: rated[0], default=None)
             if (best is not None and best[0] < PARAMETERS.certain_unexplained) or not self._budget.is_left:
                 break
         if best is None:
@@ -263,15 +284,22 @@ class SampleBuffer:
         self._next_s = -np.inf
         return self._select_readout(*best)
 
-    def _search_rates(self, periods: list[float]) -> tuple[float, Clock, float] | None:
+    def _search_rates(self, periods: list[float], paired: bool) -> tuple[float, Clock, float] | None:
         """Return unexplained part, clock and start of the samples in seconds for the best of some rates."""
         now_s = self.last.time_s
         periods = [period for period in periods if now_s - self.first.time_s >= PARAMETERS.min_patterns * period]
         if not periods:
             return None
         start_s = now_s - max(2 * min(periods), max(periods)) * PARAMETERS.min_patterns * 1.2
-        clocks = self.light_between(start_s, now_s, self._budget).search(periods)
-        return (*clocks[0], start_s) if clocks and clocks[0][0] < PARAMETERS.max_unexplained else None
+        samples = self.light_between(start_s, now_s, self._budget)
+        clocks = samples.search(periods, paired)
+        if not clocks or clocks[0][0] >= PARAMETERS.max_unexplained:
+            return None
+        if not paired and samples.repetition(clocks[0][1]) > PARAMETERS.max_repetition:
+            # pairs of slower patterns
+            self._searches = [search for search in self._searches if search[1]]
+            return None
+        return (*clocks[0], start_s)
 
     def _select_readout(self, left: float, clock: Clock, start_s: float) -> Clock:
         """Select the readout direction that explains most: phones may hold the sensor sideways."""

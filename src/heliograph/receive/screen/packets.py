@@ -85,8 +85,13 @@ class ScreenHeader:
     score: float
 
 
-def find_headers(change: Floats, pairs: int) -> list[ScreenHeader]:
-    """Find headers of a number of pairs, the best first."""
+def header_pairs(change: Floats, paired: bool) -> Floats:
+    """Return the pairs that begin at each solved pair, or at each solved pattern but the last."""
+    return change if paired else (change[:-1] - change[1:]) / 2
+
+
+def find_headers(change: Floats, pairs: int, step: int = 1) -> list[ScreenHeader]:
+    """Find headers of a number of pairs, the best first; a header takes every step-th pair."""
     n = change.shape[-1]
     cells = _header_cells(change / np.maximum(np.linalg.norm(change, axis=(1, 2), keepdims=True), TINY)) * n
     known = all_header_cells()
@@ -96,8 +101,8 @@ def find_headers(change: Floats, pairs: int) -> list[ScreenHeader]:
         # correlation over all cells, (pairs, identities)
         match = np.einsum("pij,kij->pk", cells, turned) / CELLS
         # the weakest pair of a header counts; a format dims the later pairs
-        weakest = match[: len(match) - pairs + 1].copy()
-        for later in range(1, pairs):
+        weakest = match[: max(len(match) - (pairs - 1) * step, 0)].copy()
+        for later in range(step, pairs * step, step):
             weakest = np.minimum(weakest, match[later : later + len(weakest)] / 0.9)
         headers += [
             ScreenHeader(int(p), int(k), orientation, float(weakest[p, k]))
@@ -106,11 +111,12 @@ def find_headers(change: Floats, pairs: int) -> list[ScreenHeader]:
     return sorted(headers, key=lambda header: -header.score)
 
 
-def read_format(header: ScreenHeader, change: Floats, pairs: int) -> int:
+def read_format(header: ScreenHeader, change: Floats, pairs: int, step: int = 1) -> int:
     """Return the number of the format of a header, 0 to 2047."""
     if pairs < 2:
         return 0
-    upright = np.stack([header.orientation.upright(pair) for pair in change[header.place : header.place + pairs]])
+    read = change[header.place : header.place + pairs * step : step]
+    upright = np.stack([header.orientation.upright(pair) for pair in read])
     cells = _header_cells(upright).reshape(pairs, -1)
     # a dimmed cell has half the contrast of the first pair
     expected = np.where(words(ALL_MODES), DIMMED, 1.0) * cells[0]
@@ -200,10 +206,11 @@ class PacketAssembler:
             self.clock = None
             return False
         (pairs, change, _, _), _ = solve_pairs(samples, clock, samples.light)
+        change = header_pairs(change, clock.paired)
         # a small part of the first pair may be cut off
-        starts = np.array([clock.start_of(pair) for pair in pairs])
+        starts = np.array([clock.start_of(pair) for pair in pairs])[: len(change)]
         complete = np.flatnonzero((starts >= first_s - 0.45 * step) & (starts + step <= now_s))
-        headers = find_headers(change[complete], self._signal.header_pairs)
+        headers = find_headers(change[complete], self._signal.header_pairs, 2 - clock.paired)
         if not headers:
             # the next search starts here
             self._buffer.drop_before(now_s - 4 * step)
@@ -211,8 +218,8 @@ class PacketAssembler:
         good = [header for header in headers if header.score > headers[0].score - 0.1]
         best = min(good, key=lambda header: (header.place, -header.score))
         self.start_s = float(starts[complete[best.place]])
-        self.clock = replace(clock, start_s=self.start_s)
-        self._set_header(best, change[complete])
+        self._set_header(best, change[complete], clock.paired)
+        self.clock = replace(clock, start_s=self.start_s, paired=self._form.mode != "single")
         return True
 
     def _samples(self, start_s: float, end_s: float, budget: SearchBudget) -> Samples | None:
@@ -220,39 +227,44 @@ class PacketAssembler:
         is_enough = len(self._buffer.between(start_s, end_s)) >= PARAMETERS.min_frames // 2
         return self._buffer.light_between(start_s, end_s, budget) if is_enough else None
 
-    def _set_header(self, header: ScreenHeader, change: Floats) -> None:
+    def _set_header(self, header: ScreenHeader, change: Floats, paired: bool) -> None:
         """Set the header of the packet in progress, with the format."""
         self.header, self._without_header = header, 0
-        self._form = known_format(read_format(header, change, self._signal.header_pairs), SHORT_PAIRS)
+        number = read_format(header, change, self._signal.header_pairs, 2 - paired)
+        self._form = known_format(number, SHORT_PAIRS)
 
-    def _decode_next(self, clock: Clock, start_s: float, end_s: float) -> Iterator[tuple[Packet, Floats]]:
+    def _decode_next(self, start: Clock, start_s: float, end_s: float) -> Iterator[tuple[Packet, Floats]]:
         """Decode the packet between two times."""
-        around_s, self.start_s = 2 * clock.period_s, None
+        around_s, self.start_s = 2 * start.period_s, None
         # packets are decoded at any cost
         samples = self._samples(start_s - around_s, end_s + around_s, SearchBudget())
         if samples is None:
             return
-        _, clock = samples.refine(clock)
+        _, clock = samples.refine(start)
         solution, first = solve_with_gains(samples, clock), round(clock.pair_at(start_s))
         numbers, change, _, _ = solution
-        headers = self._packet_headers(change, first - numbers[0])
+        headers = self._packet_headers(header_pairs(change, clock.paired), first - numbers[0], clock.paired)
         if not headers:
+            return
+        if clock.paired and self._form.mode == "single":
+            yield from self._decode_next(replace(start, paired=False), start_s, end_s)
             return
         packets = [self._decode(header, solution, clock) for header in headers]
         packet, upright, self.header = max(packets, key=lambda decoded: sum(ok_flags(decoded[0].layers)))
-        self.start_s = clock.start_of(first + self._signal.header_pairs + self._data_pairs)
-        self.clock = replace(clock, start_s=self.start_s)
+        self.start_s = clock.start_of(first + (self._signal.header_pairs + self._data_pairs) * (2 - clock.paired))
+        self.clock = replace(clock, start_s=self.start_s, paired=self._form.mode != "single")
         yield packet, upright
         self._buffer.drop_before(self.start_s - 8 * clock.period_s)
 
-    def _packet_headers(self, change: Floats, place: int) -> list[ScreenHeader]:
+    def _packet_headers(self, change: Floats, place: int, paired: bool) -> list[ScreenHeader]:
         """Return the possible headers of the packet at a place; empty after too many packets without a header."""
         if place < 0:
             return []  # the start was not visible
-        pairs = self._signal.header_pairs
-        headers = [replace(header, place=place) for header in find_headers(change[place : place + pairs], pairs)]
+        pairs, step = self._signal.header_pairs, 2 - paired
+        found = find_headers(change[place : place + (pairs - 1) * step + 1], pairs, step)
+        headers = [replace(header, place=place) for header in found]
         if headers:
-            self._set_header(headers[0], change)
+            self._set_header(headers[0], change, paired)
             return [header for header in headers if header.score > headers[0].score - 0.03]
         self._without_header += 1
         if self.header is None or self._without_header > 1:
@@ -264,23 +276,24 @@ class PacketAssembler:
     ) -> tuple[Packet, Floats, ScreenHeader]:
         """Decode a packet by a header; return the packet, the upright changes of the data pairs and the header."""
         (numbers, solved, variances, light), pairs, n = solution, self._data_pairs, self._signal.side
-        first = header.place + self._signal.header_pairs
-        visible = solved[first : first + pairs] / np.maximum(light, 0.05)
-        change, seen = np.zeros((pairs, n, n)), np.zeros(pairs, bool)
+        step, single = 2 - clock.paired, self._form.mode == "single"
+        first, last = (header.place + (self._signal.header_pairs + pair) * step for pair in (0, pairs))
+        # patterns of the single mode, or pairs
+        solved, each = (solved, 1) if single else (header_pairs(solved, clock.paired), step)
+        visible = solved[first:last:each] / np.maximum(light, 0.05)
+        change = np.zeros(((last - first) // each, n, n))
+        seen = np.zeros(len(change), bool)
         change[: len(visible)] = [header.orientation.upright(pair) for pair in visible]
         # a pair without frames has a large variance
-        variance = variances[first : first + pairs].mean((1, 2))
+        variance = variances[first : first + each * len(visible) : each].mean((1, 2))
         seen[: len(visible)] = variance < 10 * float(np.median(variances))
         reason, layers = "", dict[str, tuple[Codeword, ...]]()
-        if self._form.mode == "single":
-            reason = "the receiver screen reads only pairs of patterns, this packet is of the single mode"
-        else:
-            try:
-                form = PacketFormat(replace(self._signal, data_pairs=pairs), self._form)
-                layers = decode_packet(change, seen, form, header.identity, self._options)
-            except SettingsError as error:
-                reason = str(error)
-        start_s, end_s = (clock.start_of(numbers[0] + place) for place in (header.place, first + pairs))
+        try:
+            form = PacketFormat(replace(self._signal, data_pairs=pairs), self._form)
+            layers = decode_packet(change, seen, form, header.identity, self._options)
+        except SettingsError as error:
+            reason = str(error)
+        start_s, end_s = (clock.start_of(numbers[0] + place) for place in (header.place, last))
         samples = self._buffer.between(start_s, end_s) or [self._buffer.last]
         pose, pairs_seen = samples[0].place.pose(n), float(seen.mean())
         packet = Packet(
