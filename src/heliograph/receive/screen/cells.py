@@ -213,7 +213,7 @@ class Sample:
 
 
 @lru_cache(maxsize=64)
-def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
+def _spread(side: int, width: float) -> tuple[Pixels32, Pixels32, Pixels32]:
     """Return B, the derivative of B by the place, and the weights of the least squares, for a blur in cells."""
     cells, s = side + 2 * RIM_CELLS, samples_per_cell(side)
     at = (np.arange(cells * s) + 0.5) / s
@@ -228,10 +228,11 @@ def _spread(side: int, width: float) -> tuple[Floats, Floats, Floats]:
     slope[:, 0], slope[:, -1] = -bell[:, 1], bell[:, -2]
     # loading: cells may be smaller than the blur
     gram = b.T @ b
-    return b, slope, np.linalg.solve(gram + 1e-3 * s * np.eye(cells), b.T)
+    weights = np.linalg.solve(gram + 1e-3 * s * np.eye(cells), b.T)
+    return b.astype(np.float32), slope.astype(np.float32), weights.astype(np.float32)
 
 
-def _resample(part: Pixels32, homography: Floats, side: int) -> Floats:
+def _resample(part: Pixels32, homography: Floats, side: int) -> Pixels32:
     """Resample an array upright, with the ring, from a part of a frame."""
     cells, s = side + 2 * RIM_CELLS, samples_per_cell(side)
     # sample (i + 1/2) / s - RIM_CELLS cells
@@ -239,7 +240,7 @@ def _resample(part: Pixels32, homography: Floats, side: int) -> Floats:
     size = (cells * s, cells * s)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     warped = cv2.warpPerspective(part, homography @ to_cells, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(warped, np.float64)
+    return np.asarray(warped, np.float32)
 
 
 def light_of(pixels: Pixels, light: Pixels32) -> Pixels32:
@@ -256,7 +257,7 @@ def reduced(image: Pixels32, factor: int) -> Pixels32:
     return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _step(samples: Floats, b: Floats, slope: Floats, x: Floats, side: int, held: float) -> Floats:
+def _step(samples: Pixels32, b: Pixels32, slope: Pixels32, x: Pixels32, side: int, held: float) -> Floats:
     """Return a small homography in cells to reduce the residual, (3, 3)."""
     s = samples_per_cell(side)
     # every other sample of many cells: eight values need no more
@@ -265,12 +266,12 @@ def _step(samples: Floats, b: Floats, slope: Floats, x: Floats, side: int, held:
     residual = samples[core, core] - light @ b[core].T
     across, down = light @ slope[core].T, leaned @ b[core].T
     at = (np.arange(b.shape[0])[core] + 0.5) / s - RIM_CELLS - side / 2
-    u, v = (axis / side for axis in np.meshgrid(at, at))
+    u, v = np.meshgrid(*2 * (at.astype(np.float32) / side,))
     # x' = x + a + b u + c v + g u^2 + h u v, y' = y + d + e u + f v + g u v + h v^2, in cells
     tilt = across * u + down * v
     terms = [across, across * u, across * v, down, down * u, down * v, tilt * u, tilt * v]
     rows = np.stack(terms).reshape(8, -1)
-    gram = rows @ rows.T
+    gram = np.asarray(rows @ rows.T, np.float64)
     # weights of the shape of the array in the last frame
     hold = held * np.array([0, 0.03, 0.03, 0, 0.03, 0.03, 0.2, 0.2]) * (gram[0, 0] + gram[3, 3]) / 2
     # the image moves opposite to the place
@@ -310,7 +311,7 @@ class CellTracker:
         for step in range(max_steps + 1):
             homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
             samples = _resample(part, homography, side)
-            x = weights @ samples @ weights.T
+            x = np.asarray(weights @ samples @ weights.T, np.float32)
             if step == max_steps:
                 break
             delta = _step(samples, b, slope, x, side, held)
@@ -324,7 +325,7 @@ class CellTracker:
         # between a pattern and the inverse all cells are alike: data have half the mean as rms
         contrast = max(float(inner.std()), 0.5 * float(inner.mean()), TINY)
         misfit = float(np.sqrt(np.mean(residual**2))) / contrast
-        return Sample(frame.index, frame.time_s, place, x, misfit)
+        return Sample(frame.index, frame.time_s, place, x.astype(np.float64), misfit)
 
     def fit_blocks(self, frame: Frame, place: Place) -> Place:
         """Fit blocks of 4 x 4 and of 2 x 2 of many cells: a fit corrects half a block."""
