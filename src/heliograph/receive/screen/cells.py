@@ -108,7 +108,7 @@ class ScreenParameters:
     # Unexplained part below which no other rates are tried
     certain_unexplained: float = 0.12
     # Maximum correlation of every other pattern with the next without inverses: 1 for pairs
-    max_repetition: float = 0.8
+    max_repetition: float = 0.6
     # Minimum number of patterns and of frames for a clock
     min_patterns: int = 10
     min_frames: int = 16

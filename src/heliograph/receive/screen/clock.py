@@ -129,12 +129,12 @@ class Samples:
         return transposed @ m + loading, transposed @ self._gram @ m
 
     def repetition(self, clock: Clock) -> float:
-        """Return the mean absolute correlation of every other pattern with the next: 1 for pairs of any rate."""
+        """Return the median correlation of every other pattern with the next: 1 for pairs of any rate."""
         gram, b = self._products(clock, clock.pairs(self.times_s, self._bins))
         power = np.linalg.solve(gram, np.linalg.solve(gram, b).transpose(0, 2, 1)).sum(0)
         scale = np.sqrt(np.diag(power))
-        product, scales = np.abs(np.diag(power, 1)), scale[1:] * scale[:-1]
-        return max(float(product[start::2].sum() / scales[start::2].sum()) for start in (0, 1))
+        correlation = np.abs(np.diag(power, 1)) / (scale[1:] * scale[:-1])
+        return max(float(np.median(correlation[start::2])) for start in (0, 1))
 
     def search(self, periods: Iterable[float], paired: bool = True) -> list[RatedClock]:
         """Search clocks of some pattern periods, the best first."""
@@ -211,9 +211,9 @@ class SampleBuffer:
         self._readout = 1, False
         self._samples: deque[Sample] = deque()
         usual = [1 / rate for rate in RATES if abs(rate * period_s - 1) > 0.015]
-        others = [(usual, True), ([1 / rate for rate in ANY_RATES], True)] if settings.find_rate else []
+        others = [(usual, True), (usual, False), ([1 / rate for rate in ANY_RATES], True)]
         # rates to try in turn, and True for pairs
-        self._searches = [([period_s], True), ([period_s], False), *others]
+        self._searches = [([period_s], True), ([period_s], False), *(others if settings.find_rate else [])]
         self._next_s = -np.inf
 
     @property
@@ -292,14 +292,11 @@ class SampleBuffer:
             return None
         start_s = now_s - max(2 * min(periods), max(periods)) * PARAMETERS.min_patterns * 1.2
         samples = self.light_between(start_s, now_s, self._budget)
-        clocks = samples.search(periods, paired)
-        if not clocks or clocks[0][0] >= PARAMETERS.max_unexplained:
-            return None
-        if not paired and samples.repetition(clocks[0][1]) > PARAMETERS.max_repetition:
-            # pairs of slower patterns
-            self._searches = [search for search in self._searches if search[1]]
-            return None
-        return (*clocks[0], start_s)
+        for left, clock in samples.search(periods, paired):
+            # patterns without inverses explain slower patterns and pairs, too
+            if paired or samples.repetition(clock) < PARAMETERS.max_repetition:
+                return (left, clock, start_s) if left < PARAMETERS.max_unexplained else None
+        return None
 
     def _select_readout(self, left: float, clock: Clock, start_s: float) -> Clock:
         """Select the readout direction that explains most: phones may hold the sensor sideways."""
