@@ -359,19 +359,21 @@ for _rate in PHONES:
 
 
 def _register_near_phone(name: str, side: int, fps: int, **changes: Any) -> None:
-    @scenario(f"1080p{fps}, {side} cells{name}", 5, ("screen",))
+    @scenario(name, 5, ("screen",))
     def _near_phone(rng: Generator, _number: int) -> Film:
         return draw_near_phone(side, fps, rng, **changes)
 
 
 for _fps in (30, 60):
     for _side in (32, 48, 64, 96, 128):
-        _register_near_phone("", _side, _fps)
-        _register_near_phone(" without inverses", _side, _fps, **{"transmit.formats.0.mode": "single"})
+        _register_near_phone(f"1080p{_fps}, {_side} cells", _side, _fps)
+        _register_near_phone(
+            f"1080p{_fps} without inverses, {_side} cells", _side, _fps, **{"transmit.formats.0.mode": "single"}
+        )
 
 for _px, _tilt, _hand in product((4, 5, 6, 8, 12), (0, 15, 30), (0.2, 1.0)):
     _register_near_phone(
-        f" of {_px} px, tilt {_tilt} deg, shake {_hand} deg", 64, 60,
+        f"1080p map, {_px} px a cell, tilt {_tilt} deg, shake {_hand} deg", 64, 60,
         **{
             "channel.distance_m": 0.32 * FOCAL_PX / (64 * _px), "channel.arrays.0.x_m": 0.0,
             "channel.arrays.0.yaw_deg": _tilt, "channel.arrays.0.pitch_deg": 0.0, "channel.hand_deg": _hand,

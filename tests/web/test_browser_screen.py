@@ -98,8 +98,6 @@ def test_preview_is_still_and_states_the_film_time(chromium: Browser, address: s
         assert after != before
         page.wait_for_timeout(1000)
         assert page.evaluate(picture) == after
-        page.check("#single")
-        expect(page.locator("#estimate")).to_contain_text("12 B in 1 packet, 61 bytes per second")
         page.fill("#text", "")
         expect(page.locator("#pattern")).to_be_hidden()
         expect(page.locator(".notice")).to_be_hidden()

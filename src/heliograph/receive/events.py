@@ -113,7 +113,7 @@ class DecodeEvent:
     packet
         The packet as returned by the receiver.
     luminances
-        (pairs, n, n) luminances that "plain" and "screen" decoded; None from "soft".
+        (pairs, n, n) luminances that "plain" and "screen" decoded, or (patterns, n, n); None from "soft".
     cutouts
         Cut-outs of the pairs that "soft" decoded, None for unseen pairs; empty from the other receivers.
     exposure_range

@@ -168,6 +168,14 @@ def test_rate_is_found_with_skipped_refreshes() -> None:
 
 
 @pytest.mark.slow
+def test_rate_of_no_display_is_found() -> None:
+    grabs = shown(sending_of(b"text", None, 16, 16.0), 4.2, cell_px=8)
+    phone = Phone(fps=60, width=160, height=160, side_px=130, blur_px=0.6)
+    film = [Frame(k, time_s, pixels) for k, (time_s, pixels) in enumerate(phone_frames(grabs, phone))]
+    assert statuses(received(film, load_settings("phone")))[:2] == ["ok", "ok"]
+
+
+@pytest.mark.slow
 def test_folder_of_pictures_of_a_turned_phone_is_read(tmp_path: Path) -> None:
     settings, film = phone_60()
     for frame in film:

@@ -15,7 +15,6 @@ const text = one("text", HTMLTextAreaElement);
 const file = one("file", HTMLInputElement);
 const side = one("side", HTMLSelectElement);
 const rate = one("rate", HTMLSelectElement);
-const single = one("single", HTMLInputElement);
 const gamma = one("gamma", HTMLInputElement);
 const brightness = one("brightness", HTMLInputElement);
 const stage = one("stage", HTMLElement);
@@ -201,8 +200,7 @@ async function mayFlash(): Promise<boolean> {
 
 function query(name: string | null): URLSearchParams {
   return new URLSearchParams({
-    side: side.value, rate_hz: String(refresh / Number(rate.value)), inverses: String(!single.checked),
-    ...(name === null ? {} : { name }),
+    side: side.value, rate_hz: String(refresh / Number(rate.value)), ...(name === null ? {} : { name }),
   });
 }
 

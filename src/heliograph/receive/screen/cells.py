@@ -265,8 +265,8 @@ def _step(samples: Pixels32, b: Pixels32, slope: Pixels32, x: Pixels32, side: in
     light, leaned = b[core] @ x, slope[core] @ x
     residual = samples[core, core] - light @ b[core].T
     across, down = light @ slope[core].T, leaned @ b[core].T
-    at = (np.arange(b.shape[0])[core] + 0.5) / s - RIM_CELLS - side / 2
-    u, v = np.meshgrid(*2 * (at.astype(np.float32) / side,))
+    at = ((np.arange(b.shape[0], dtype=np.float32)[core] + 0.5) / s - RIM_CELLS) / side - 0.5
+    u, v = np.meshgrid(at, at)
     # x' = x + a + b u + c v + g u^2 + h u v, y' = y + d + e u + f v + g u v + h v^2, in cells
     tilt = across * u + down * v
     terms = [across, across * u, across * v, down, down * u, down * v, tilt * u, tilt * v]

@@ -67,7 +67,7 @@ class Clock:
     def design(self, times_s: Floats, pairs: Sequence[int]) -> Floats:
         """Return q for exposures that begin at given times, (..., pairs)."""
         t = times_s[..., None] - self.start_s - self.step_s * np.asarray(pairs)
-        # differences of the integral of the step response: the first is w, the second q of a pair
+        # differences of the integral of the step response: the first is -w, the second q of a pair
         edges = [t - k * self.period_s for k in range(2 + self.paired)]
         lit = np.stack([self._ramp(edge + self.exposure_s) - self._ramp(edge) for edge in edges])
         return np.asarray((-1) ** (1 + self.paired) * np.diff(lit, 1 + self.paired, axis=0)[0]) / self.exposure_s
@@ -144,10 +144,11 @@ class Samples:
         rows = [r / self._height for r in readouts] if self._row_s is None else [self._row_s]
         # below 1.7 frame periods some rows never show a single pattern
         tried = [period for period in periods if period >= 1.7 * frame_s and length >= 4 * period]
-        if len(tried) > PARAMETERS.best_rates:
+        if not paired or len(tried) > PARAMETERS.best_rates:
             rough = [rows[len(rows) // 2]], [0.6 * frame_s], 8, paired
             best = sorted((self._rough_clocks(period, *rough)[0] for period in tried), key=lambda clock: clock[0])
-            tried = [clock.period_s for left, clock in best if left < PARAMETERS.max_rough_unexplained]
+            limit = PARAMETERS.max_rough_unexplained if paired else PARAMETERS.max_unexplained
+            tried = [clock.period_s for left, clock in best if left < limit]
         exposures = [0.3 * frame_s, 0.9 * frame_s]
         clocks = [
             clock
@@ -156,7 +157,8 @@ class Samples:
             # a wrong rate needs no refinement
             if clock[0] < PARAMETERS.max_rough_unexplained
         ]
-        clocks = sorted(clocks, key=lambda clock: clock[0])[: 2 * PARAMETERS.best_clocks]
+        # a step of a pattern has only one good phase
+        clocks = sorted(clocks, key=lambda clock: clock[0])[: 2 * PARAMETERS.best_clocks if paired else 1]
         return sorted((self.refine(clock) for _, clock in clocks), key=lambda clock: clock[0])
 
     def _rough_clocks(
@@ -211,9 +213,9 @@ class SampleBuffer:
         self._readout = 1, False
         self._samples: deque[Sample] = deque()
         usual = [1 / rate for rate in RATES if abs(rate * period_s - 1) > 0.015]
-        others = [(usual, True), (usual, False), ([1 / rate for rate in ANY_RATES], True)]
+        others = [(usual, True), ([1 / rate for rate in ANY_RATES], True)] if settings.find_rate else []
         # rates to try in turn, and True for pairs
-        self._searches = [([period_s], True), ([period_s], False), *(others if settings.find_rate else [])]
+        self._searches = [([period_s], True), ([period_s], False), *others]
         self._next_s = -np.inf
 
     @property
@@ -292,11 +294,13 @@ class SampleBuffer:
             return None
         start_s = now_s - max(2 * min(periods), max(periods)) * PARAMETERS.min_patterns * 1.2
         samples = self.light_between(start_s, now_s, self._budget)
-        for left, clock in samples.search(periods, paired):
-            # patterns without inverses explain slower patterns and pairs, too
-            if paired or samples.repetition(clock) < PARAMETERS.max_repetition:
-                return (left, clock, start_s) if left < PARAMETERS.max_unexplained else None
-        return None
+        clocks = samples.search(periods, paired)
+        limit = PARAMETERS.max_unexplained if paired else PARAMETERS.certain_unexplained
+        if not clocks or clocks[0][0] >= limit:
+            return None
+        # slower pairs look like patterns that repeat
+        is_repeated = not paired and samples.repetition(clocks[0][1]) > PARAMETERS.max_repetition
+        return None if is_repeated else (*clocks[0], start_s)
 
     def _select_readout(self, left: float, clock: Clock, start_s: float) -> Clock:
         """Select the readout direction that explains most: phones may hold the sensor sideways."""
