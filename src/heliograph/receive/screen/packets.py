@@ -230,8 +230,7 @@ class PacketAssembler:
     def _set_header(self, header: ScreenHeader, change: Floats, paired: bool) -> None:
         """Set the header of the packet in progress, with the format."""
         self.header, self._without_header = header, 0
-        number = read_format(header, change, self._signal.header_pairs, 2 - paired)
-        self._form = known_format(number, SHORT_PAIRS)
+        self._form = known_format(read_format(header, change, self._signal.header_pairs, 2 - paired), SHORT_PAIRS)
 
     def _decode_next(self, start: Clock, start_s: float, end_s: float) -> Iterator[tuple[Packet, Floats]]:
         """Decode the packet between two times."""
