@@ -61,7 +61,7 @@ def test_the_page_is_self_contained_with_pictures_and_messages(two: tuple[Path, 
     assert page.index("data:image/webp") < page.index("data:image/svg") < page.index("<table")
     headings = re.findall(r"<h2 id=(part-\d+)>([^<]*)</h2>", page)
     assert re.findall(r"<a href=#(part-\d+)>([^<]*)</a>", page) == headings
-    assert (page.count("Signal ahead: red for 12 s. Prepare to stop."), page.count("Tram 4 crosses")) == (2, 6)
+    assert (page.count("Signal ahead: red for 12 s. Prepare to stop."), page.count("Tram 4 crosses")) == (2, 2)
     assert [text for _, text in headings][-3:] == [
         "The receivers", "Errors by distance, receiver plain", "Errors by distance, receiver soft",
     ]  # fmt: skip

@@ -168,6 +168,8 @@ def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, 
         expect(page.locator(".text")).to_have_text(TEXT)
         expect(page.locator(".text")).to_be_in_viewport()
         expect(page.locator("#overlay")).to_have_class("overlay read")
+        expect(page.locator("#state")).to_have_text("Receiving …")
+        expect(page.locator("#why")).to_be_hidden()
         page.get_by_role("button", name="Copy").click()
         expect(page.get_by_role("button", name="Copied")).to_be_visible()
         expect(page.locator("#counts")).to_contain_text("sent")

@@ -104,6 +104,7 @@ function take(row: Row): void {
     case "message":
     case "file":
       showWhy([]);
+      say("Receiving …");
       overlay.classList.add("read");
       break;
     case "outline":
@@ -113,9 +114,10 @@ function take(row: Row): void {
       showWhy(row.lines, "Likely problem, from the first frames");
       break;
     case "asking why":
-      say("Nothing received yet. Looking for the reason …");
+      if (results.count === 0) say("Nothing received yet. Looking for the reason …");
       break;
     case "why":
+      if (results.count > 0) break;
       showWhy(row.lines.length > 0 ? row.lines : ["No reason was found. Film longer, closer and steadier."]);
       if (camera !== null) saveButton.hidden = false;
       say("Nothing received yet.");

@@ -129,13 +129,16 @@ async function preview(): Promise<void> {
   }
   if (mine !== previews || player?.playing) return;
   one("preview", HTMLElement).hidden = found === null;
-  one("estimate", HTMLElement).textContent = found === null ? ""
-    : `${bytes(found.bytes)} in ${found.packets} ${found.packets === 1 ? "packet" : "packets"}, ${payload(found)}: film for ${filmTime(found)}.`;
+  one("estimate", HTMLElement).textContent = found === null ? "" : estimate(found);
   if (found === null) return;
   const canvas = one("pattern", HTMLCanvasElement);
   const cells = found.side + 2 * MARGIN;
   canvas.width = canvas.height = cells * Math.floor(480 / cells);
   drawPattern(canvas, found.pattern, found.side, light());
+}
+
+function estimate(found: Facts): string {
+  return `${bytes(found.bytes)} in ${found.packets} ${found.packets === 1 ? "packet" : "packets"}, ${payload(found)}: film for ${filmTime(found)}.`;
 }
 
 function previewSoon(): void {
@@ -145,7 +148,7 @@ function previewSoon(): void {
 
 function showSkipped(): void {
   if (player === null || player.lost < 3) return;
-  notice.say(`This display skips refreshes: ${player.lost} patterns were never shown. Choose a lower rate, or close other programs.`);
+  notice.say(`This display skips refreshes: ${player.lost} patterns were never shown. Choose a lower rate, close other programs, or keep this page visible in a window of its own.`);
 }
 
 function advise(): void {
@@ -211,6 +214,7 @@ async function send(): Promise<void> {
   const lasts = Number(rate.value);
   const answer = await ask(`transmit?${query(name)}`, { method: "POST", body: data });
   facts = (await answer.json()) as Facts;
+  one("estimate", HTMLElement).textContent = estimate(facts); // the dialog may have changed the rate
   packets = new Packets(facts);
   await packets.begin();
   player ??= new Player(array, 1000 / refresh, lasts, light());
