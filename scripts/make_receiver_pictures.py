@@ -64,7 +64,7 @@ class Packet:
 
 
 def pair(packet: Packet, number: int = 5) -> Figure:
-    """A pair as it is seen, and what is left of it without the light of all symbols."""
+    """Draw a pair as filmed, and the residual after subtracting the light of all symbols."""
     cutout = packet.cutouts[number]
     total, change = cutout.total, cutout.difference
     symbols = packet.symbols[number]

@@ -26,7 +26,7 @@ let socket: WebSocket | null = null;
 let camera: Camera | null = null;
 let stream: MediaStream | null = null;
 let sending: AbortController | null = null;
-/** Film of what failed that the server has at the end; while it reads, the server is asked for one. */
+/** Film of the failed packets, offered by the server at the end; during a reception, the page requests it. */
 let bundle: string | null = null;
 
 function asked(kind: Wish["kind"]): Wish {
@@ -39,7 +39,7 @@ function say(text: string): void {
   if (state.textContent !== text) state.textContent = text;
 }
 
-/** Number of the newest reading: what an older one still says or fails by is nothing to this page any more. */
+/** Number of the newest reception; rows and errors of older receptions are ignored. */
 let turn = 0;
 
 function begin(words: string): number {
@@ -57,7 +57,7 @@ function begin(words: string): number {
   return turn;
 }
 
-/** Ends what runs; what was read stays. */
+/** Ends the upload, reception and camera; results stay. */
 function end(): void {
   sending?.abort();
   socket?.close();

@@ -115,7 +115,7 @@ function showTurn(): void {
   one("turn-bar", HTMLProgressElement).value = (at % facts.packets) / facts.packets;
 }
 
-/** Shows a still pattern and the film time of what would be sent; nothing if it cannot be sent. */
+/** Shows a still pattern and the film time of the content; hides both if the content is invalid. */
 async function preview(): Promise<void> {
   const mine = ++previews;
   if (player?.playing) return;
