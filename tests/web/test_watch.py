@@ -74,7 +74,7 @@ def dark(film: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def client(film: Path, dark: Path) -> Iterator[TestClient]:
-    app = create_app(films=[str(film), str(dark)], limits=Limits(sessions=2))
+    app = create_app(films=[str(film), str(dark)], limits=Limits(sessions=2, place_s=2.0))
     with TestClient(app, base_url=OWN) as made:
         yield made
 
@@ -434,6 +434,15 @@ def test_number_of_pages_is_limited_until_receptions_end_as_pages_disconnect(cli
         with pytest.raises(WebSocketDisconnect):
             third.receive_json()
     wait_until(lambda: places.taken == 0)  # a place stays occupied until the worker ends
+
+
+def test_page_awaits_the_place_of_an_ending_reception(client: TestClient) -> None:
+    with connected(client), contextlib.ExitStack() as stack:
+        stack.enter_context(connected(client))
+        with connected(client) as third:
+            stack.close()
+            third.open(kind="named", number=0)
+            assert third.watch("source").of("source")
 
 
 def test_frames_wait_for_their_time_at_a_speed() -> None:

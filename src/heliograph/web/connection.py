@@ -147,8 +147,11 @@ async def _receive(
 
 
 @contextlib.asynccontextmanager
-async def taking_place(places: Places) -> AsyncIterator[None]:
-    """Occupy a place during the block; release memory at the end."""
+async def taking_place(places: Places, wait_s: float) -> AsyncIterator[None]:
+    """Occupy a place during the block, if need be after a wait for receptions that end; release memory at the end."""
+    for _ in range(int(20 * wait_s)):
+        if places.are_taken:
+            await asyncio.sleep(0.05)
     with places.take():
         try:
             yield

@@ -23,5 +23,7 @@ class Limits:
     uploads: int = 2
     # Concurrent receptions of *Watch* and *Receive*; each uses a core
     sessions: int = 4
+    # Longest wait in s for the place of an ending reception
+    place_s: float = 10.0
     # Concurrent connections
     connections: int = 64

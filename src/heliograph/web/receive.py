@@ -37,7 +37,7 @@ async def receive(socket: WebSocket, shared: SharedState) -> None:
     await socket.accept(PROTOCOL)
     async with closing(socket, "error", "error"):
         request = await _receive_request(socket)
-        async with taking_place(shared.sessions):
+        async with taking_place(shared.sessions, shared.limits.place_s):
             await _run(socket, shared, request)
         await socket.close()
 

@@ -28,10 +28,15 @@ class Places:
     def __init__(self, count: int, name: str):
         self._count, self._name, self.taken = count, name, 0
 
+    @property
+    def are_taken(self) -> bool:
+        """True if all places are occupied."""
+        return self.taken >= self._count
+
     @contextlib.contextmanager
     def take(self) -> Iterator[None]:
         """Occupy a place during the block; raise a BusyError if all places are occupied."""
-        if self.taken >= self._count:
+        if self.are_taken:
             raise BusyError(f"{self._count} {self._name} run already: end a session, or try again later")
         self.taken += 1
         try:

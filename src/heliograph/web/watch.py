@@ -42,5 +42,5 @@ async def cameras(shared: SharedState) -> dict[str, Any]:
 async def watch(socket: WebSocket, shared: SharedState) -> None:
     """Show receptions to a page."""
     await socket.accept(PROTOCOL if PROTOCOL in socket.scope.get("subprotocols", ()) else None)
-    async with closing(socket, "failed", "reason"), taking_place(shared.sessions):
+    async with closing(socket, "failed", "reason"), taking_place(shared.sessions, shared.limits.place_s):
         await Session(socket, shared).run()

@@ -140,6 +140,7 @@ function heard(row: Row): void {
   sayRow(row);
   if (row.event === "failed" || row.event === "refused") {
     notice.fail(new Error(row.reason));
+    if (model.source === null) one("source-line", HTMLElement).textContent = "Not opened";
     if (row.event === "failed") ended();
   } else if (row.event === "saved") {
     void saved(row.bundle);

@@ -30,7 +30,6 @@ class Command(BaseModel):
     times: Annotated[float, Field(ge=1e-4, le=100, allow_inf_nan=False)] | None = None
     paused: bool = False
     rows: Annotated[int, Field(ge=0)] = 0
-    # Frames of a step
     frames: Annotated[int, Field(ge=1, le=1 << 40)] = 1
 
 
@@ -48,15 +47,14 @@ class Session:
     async def run(self) -> None:
         """Execute commands until the page disconnects, or watches no source for 15 minutes."""
         try:
-            await converse(self._socket, self._outbox, self._handle, lambda: None if self._is_watching else 900.0)
+            await converse(self._socket, self._outbox, self._handle, self._timeout_s)
         finally:
             for name in self._bundles:
                 self._shared.bundles.drop(name)
             await self._end_run()  # the place of the session stays occupied until the reception ends
 
-    @property
-    def _is_watching(self) -> bool:
-        return self._worker is not None and not self._worker.done()
+    def _timeout_s(self) -> float | None:
+        return 900.0 if self._worker is None or self._worker.done() else None
 
     async def _handle(self, message: str | bytes) -> None:
         try:
