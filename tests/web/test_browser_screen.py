@@ -173,6 +173,9 @@ def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, 
         page.get_by_role("button", name="Copy").click()
         expect(page.get_by_role("button", name="Copied")).to_be_visible()
         expect(page.locator("#counts")).to_contain_text("sent")
+        page.evaluate("""Object.defineProperty(document, "hidden", {value: true});
+            document.dispatchEvent(new Event("visibilitychange"))""")
+        expect(page.locator(".notice")).to_contain_text("This page was hidden")
         page.click("#stop")
         expect(page.locator("#start")).to_have_text("Start the camera")
 

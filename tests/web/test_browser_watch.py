@@ -1,6 +1,7 @@
 """Page *Watch* plays the demonstration film in a real browser; the pages show exceptions of the server in a line."""
 
 import json
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -87,6 +88,8 @@ def ended(chromium: Browser, address: str) -> Iterator[Page]:
         page.click("#details > summary")
         # the second, sharper picture
         expect(page.locator("#picture img").first).to_have_js_property("naturalWidth", 96)
+        caption = re.compile(r"complete at \d\.\d\d s, \d+ m away: picture 2, ")
+        expect(page.locator("#picture figcaption")).to_contain_text(caption)
         yield page
 
 
@@ -337,7 +340,7 @@ def test_page_receive_shows_a_crash_of_its_reception(
     with quiet_page(chromium, f"{address}receive") as page:
         page.set_input_files("#film", dark_film)
         expect_notice(page)
-        expect(page.locator("#state")).to_have_text("Ended.")
+        expect(page.locator("#state")).to_contain_text("Ended: ")
         expect(page.locator("#stop")).to_be_hidden()
 
 

@@ -164,7 +164,7 @@ function closed(reason: string): void {
   bar.hidden = stop.hidden = true;
   if (reason !== "") {
     notice.fail(reason);
-    say("Ended.");
+    say(`Ended: ${reason.replace(/\.$/, "")}.`);
   }
 }
 
@@ -234,7 +234,7 @@ async function listDevices(): Promise<void> {
   const select = one("device", HTMLSelectElement);
   const chosen = select.value;
   select.replaceChildren(
-    make("option", { value: "" }, "Rear camera"),
+    make("option", { value: "" }, "automatic"),
     ...found.map((one, k) => make("option", { value: one.deviceId, selected: one.deviceId === chosen }, one.label || `Camera ${k + 1}`)),
   );
 }
@@ -298,3 +298,6 @@ saveButton.addEventListener("click", () => {
   else if (socket?.readyState === WebSocket.OPEN) socket.send("save");
 });
 setInterval(showCounts, 500);
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden && camera !== null) notice.say("This page was hidden, and browsers slow hidden pages down. Keep it visible, in a window of its own.");
+});

@@ -6,6 +6,9 @@ type Of<E extends Row["event"]> = Extract<Row, { event: E }>;
 
 const MOST_LISTED = 60;
 
+/** Newest picture, and the packet that completed it. */
+export interface Picture { data: string; bytes: number; count: number; packet: Of<"packet"> | undefined }
+
 export interface Model {
   source: Of<"source"> | null;
   packets: Of<"packet">[];
@@ -16,7 +19,7 @@ export interface Model {
   light: Of<"light"> | null;
   lights: Of<"lights"> | null;
   maps: Map<number, Junction>;
-  picture: { data: string; bytes: number; count: number } | null;
+  picture: Picture | null;
   arrays: ArrayCounts[];
   errors: Bin[] | null;
   falseCodewords: number;
@@ -47,9 +50,13 @@ function message(model: Model, row: Of<"message">): void {
   if (old >= 0) model.messages.splice(old, 1);
   kept(model.messages, row);
   if (row.road?.kind === "MAPEM") for (const junction of row.road.junctions) model.maps.set(junction.id, junction);
-  if (row.data !== undefined && pictureType(row.data) !== null && row.bytes >= (model.picture?.bytes ?? 0)) {
-    model.picture = { data: row.data, bytes: row.bytes, count: (model.picture?.count ?? 0) + (row.bytes === model.picture?.bytes ? 0 : 1) };
+  if (row.data !== undefined && row.data !== model.picture?.data && pictureType(row.data) !== null && row.bytes >= (model.picture?.bytes ?? 0)) {
+    model.picture = picture(model, row, row.data);
   }
+}
+
+function picture(model: Model, { id, bytes }: { id: number; bytes: number }, data: string): Picture {
+  return { data, bytes, count: (model.picture?.count ?? 0) + 1, packet: model.packets.find((one) => one.id === id) };
 }
 
 /** Takes a row into the model; those of commands and of the end are no part of it. */
@@ -61,7 +68,7 @@ export function apply(model: Model, row: Row): void {
     case "unfinished": model.unfinished = row.messages; break;
     case "file":
       model.files.set(row.file, row);
-      if (row.whole && row.data !== undefined && pictureType(row.data) !== null) model.picture = { data: row.data, bytes: row.bytes, count: 1 };
+      if (row.whole && row.data !== undefined && pictureType(row.data) !== null) model.picture = picture(model, row, row.data);
       break;
     case "light": model.light = row; break;
     case "lights": model.lights = row; break;

@@ -123,7 +123,9 @@ function picture(model: Model): void {
   const blob = new Blob([Uint8Array.from(atob(data), (c) => c.charCodeAt(0))], { type });
   const image = make("img", { alt: `The newest picture that was received, ${bytes(blob.size)}` });
   image.src = URL.createObjectURL(blob);
-  const caption = make("figcaption", { class: "dim small" }, `picture ${model.picture?.count ?? 1}, ${bytes(blob.size)}`);
+  const packet = model.picture?.packet;
+  const when = packet === undefined ? "" : `complete at ${packet.time_s.toFixed(2)} s, ${packet.distance_m.toFixed(0)} m away: `;
+  const caption = make("figcaption", { class: "dim small" }, `${when}picture ${model.picture?.count ?? 1}, ${bytes(blob.size)}`);
   image.onload = () => caption.append(`, ${image.naturalWidth} by ${image.naturalHeight} px`);
   image.onerror = () => put("picture", make("p", { class: "dim" }, "The picture is damaged."));
   put("picture", make("figure", {}, image, caption));
