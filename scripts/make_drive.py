@@ -9,7 +9,7 @@ import tempfile
 from collections import deque
 from pathlib import Path
 
-from heliograph.experiments.demo.drive import demo_messages
+from heliograph.experiments.demo import demo_messages
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.link.truth import open_truth, truth_path

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from heliograph.cli.describe import KeyDescription, describe
+from heliograph.cli.presets import KeyDescription, describe
 from heliograph.link.settings import LinkSettings
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"

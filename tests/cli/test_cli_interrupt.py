@@ -81,7 +81,7 @@ def test_demo_keeps_the_film_so_far(tmp_path: Path) -> None:
 
 def test_demo_reports_the_packets_so_far(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     reports = list[Any]()  # the pictures of the page take seconds
-    monkeypatch.setattr("heliograph.experiments.demo.drive.write_page", lambda *values: reports.append(values))
+    monkeypatch.setattr("heliograph.experiments.demo.write_page", lambda *values: reports.append(values))
     run = interrupted_at(tmp_path, "demo", "--output", "d", *lasting(0.11), title="receiving", step=105)
     assert "d holds the results so far" in failed(run, INTERRUPTED)
     assert {"drive.mp4", "drive.mp4.truth.npz"} <= set(names(tmp_path / "d"))

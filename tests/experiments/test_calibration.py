@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.experiments.calibration import experiment, known_receiver
-from heliograph.experiments.calibration.experiment import CalibrationFilm, calibrated, count_bits, reliability_bins
+from heliograph.experiments import calibration, known_receiver
+from heliograph.experiments.calibration import CalibrationFilm, calibrated, count_bits, reliability_bins
 from heliograph.experiments.report import Context
 from heliograph.link.settings import load_settings
 
@@ -30,7 +30,7 @@ def test_bits_are_counted_by_their_predicted_error_probability() -> None:
     assert (middle.count.trials, middle.count.errors) == (3, 2)
     assert middle.predicted == pytest.approx(1 / (1 + np.exp(2)))
     assert (bins[0.0, 1e-4].count.trials, bins[0.0, 1e-4].count.errors) == (1, 0)
-    assert (sum(one.count.trials for one in bins.values()), len(bins)) == (4, len(experiment.EDGES) - 1)
+    assert (sum(one.count.trials for one in bins.values()), len(bins)) == (4, len(calibration.EDGES) - 1)
 
 
 def test_only_a_true_prediction_holds() -> None:
@@ -43,8 +43,8 @@ def test_only_a_true_prediction_holds() -> None:
 def test_a_film_is_received_and_compared() -> None:
     changes = ["receive.receiver=soft", "receive.soft.led_by_led=false", "channel.distance_m=90"]
     settings = load_settings("static", None, changes)
-    found = experiment.record(CalibrationFilm(case="x", settings=settings, seed=1))
-    first, last = (np.sum(found.reliability[name], 0) for name in (experiment.FIRST, experiment.LAST))
+    found = calibration.record(CalibrationFilm(case="x", settings=settings, seed=1))
+    first, last = (np.sum(found.reliability[name], 0) for name in (calibration.FIRST, calibration.LAST))
     assert first[0].sum() == 48 * 256  # 48 pairs of 256 symbols; later those of codewords that failed
     assert 0 < last[0].sum() < 48 * 256
     assert first[1].sum() == pytest.approx(first[2].sum(), rel=0.15)
@@ -55,10 +55,10 @@ def test_a_film_is_received_and_compared() -> None:
 
 @pytest.mark.slow
 def test_packets_at_rest_and_driving_give_a_result() -> None:
-    chosen = [film for film in experiment.all_films(Context()) if film.settings.channel.distance_m == 80]
+    chosen = [film for film in calibration.all_films(Context()) if film.settings.channel.distance_m == 80]
     films = [chosen[0], chosen[-1]]
     assert [film.case for film in films] == ["at rest", "driving"]
-    result = experiment.run(Context(), films)
+    result = calibration.run(Context(), films)
     assert json.loads(json.dumps(result.data))
     assert [f.verdict for f in result.findings][-1] == "holds"
     assert "4 packets" in result.findings[-1].ours

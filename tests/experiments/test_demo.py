@@ -12,7 +12,7 @@ import pytest
 
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
-from heliograph.experiments.demo.drive import Demonstration, cut_out_of, demo_messages, run
+from heliograph.experiments.demo import Demonstration, cut_out_of, demo_messages, run
 from heliograph.experiments.report import Report
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import Recordings

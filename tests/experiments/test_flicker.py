@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from heliograph.experiments.flicker import experiment, metrics
-from heliograph.experiments.flicker.experiment import Signal, SignalFlicker, kept, pair_means, wave
-from heliograph.experiments.flicker.metrics import Spectrum
+from heliograph.experiments import flicker
+from heliograph.experiments import flicker_metrics as metrics
+from heliograph.experiments.flicker import Signal, SignalFlicker, kept, pair_means, wave
+from heliograph.experiments.flicker_metrics import Spectrum
 from heliograph.experiments.report import Context
 
 SLOT_S = 0.25e-3
@@ -107,7 +108,7 @@ def test_limits_are_judged_by_the_spread_of_the_stretches() -> None:
 
 @pytest.mark.slow
 def test_the_result_judges_by_its_numbers() -> None:
-    done = experiment.run(Context(), stretches=2)
+    done = flicker.run(Context(), stretches=2)
     verdicts = [finding.verdict for finding in done.findings]
     numbers = done.data[Signal.PAIRS]
     assert len(numbers["svm"]) == 2

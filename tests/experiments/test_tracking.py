@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from heliograph.base.frames import Frame
+from heliograph.experiments import tracking
 from heliograph.experiments.report import Finding
-from heliograph.experiments.tracking import experiment as tracking
-from heliograph.experiments.tracking.experiment import KNOWN, OURS, TRACKERS, TrackingRun, TrackingScore, score
-from heliograph.experiments.tracking.trackers import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
+from heliograph.experiments.trackers import GROWTH, KNOWN_SPREAD, KnownPattern, known_leds, known_light
+from heliograph.experiments.tracking import KNOWN, OURS, TRACKERS, TrackingRun, TrackingScore, score
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.geometry.fit import Fit

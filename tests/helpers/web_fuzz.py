@@ -14,9 +14,9 @@ from parser_fuzz import mutated
 from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
 from heliograph.web.crashes import LOG
-from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Access
 from heliograph.web.sending import sending_of
+from heliograph.web.shared import Limits
 
 LIMITS = Limits(film_bytes=1 << 16, films=4, idle_s=0.05, upload_s=1.0)  # small limits, so that cases exceed them
 LIMIT_S = 20.0  # time limit per case; a reception stops before its next frame

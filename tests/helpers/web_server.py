@@ -11,9 +11,9 @@ from film_checks import uniform, write_levels
 from waiting import wait_until
 
 from heliograph.web.app import create_app
-from heliograph.web.limits import Limits
 from heliograph.web.security import Access
 from heliograph.web.serve import Address, open_port, server_config
+from heliograph.web.shared import Limits
 
 OWN = "http://127.0.0.1:8000"  # address of test clients; other addresses are rejected
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from heliograph.probe.reach import reaches
+from heliograph.link.budget import reaches
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Noise
 from heliograph.signal.settings import SignalSettings

@@ -16,7 +16,7 @@ from cli_runs import SMALL
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 from web_server import serving
 
-from heliograph.experiments.demo.drive import demo_messages
+from heliograph.experiments.demo import demo_messages
 from heliograph.link.film import write_film
 from heliograph.link.settings import load_settings
 from heliograph.media import open_film

@@ -22,7 +22,7 @@ from heliograph.web.app import create_app
 from heliograph.web.camera_frames import HEAD
 from heliograph.web.connection import INTERNAL, Outbox
 from heliograph.web.crashes import CrashError, in_thread, report
-from heliograph.web.limits import Limits
+from heliograph.web.shared import Limits
 
 pytestmark = pytest.mark.usefixtures("quick_ends")
 RECEIVE, WATCH = "ws://127.0.0.1:8000/api/receive", "ws://127.0.0.1:8000/api/watch"

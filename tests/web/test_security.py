@@ -8,8 +8,8 @@ from web_fuzz import GOOD, answer, fuzz, served
 from web_server import OWN
 
 from heliograph.web.app import create_app
-from heliograph.web.limits import Limits
 from heliograph.web.security import LOOPBACK, Access
+from heliograph.web.shared import Limits
 from heliograph.web.stores import MissingError, Store
 
 

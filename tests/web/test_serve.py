@@ -13,8 +13,8 @@ from web_server import serving
 
 from heliograph.base.errors import SettingsError
 from heliograph.cli.serve import show_address
-from heliograph.web.limits import Limits
 from heliograph.web.serve import Address, open_port
+from heliograph.web.shared import Limits
 
 
 def test_loopback_needs_no_token() -> None:

@@ -34,9 +34,9 @@ from heliograph.media.live.camera import register_camera
 from heliograph.receive.geometry.pose import Pose
 from heliograph.web.app import create_app
 from heliograph.web.failures import FailureRecorder
-from heliograph.web.limits import Limits
 from heliograph.web.recorded_drive import RECORDED_DRIVE, warm_up
 from heliograph.web.security import Access
+from heliograph.web.shared import Limits
 from heliograph.web.stores import Store, StoredFilm
 from heliograph.web.watching.gate import Gate
 from heliograph.web.watching.scene import Scene, SceneObserver

@@ -14,8 +14,8 @@ from heliograph.base.config import merge
 from heliograph.base.errors import SettingsError
 from heliograph.cli import console, options
 from heliograph.cli.options import option
-from heliograph.experiments.flicker import metrics
-from heliograph.experiments.flicker.metrics import Flicker
+from heliograph.experiments import flicker_metrics as metrics
+from heliograph.experiments.flicker_metrics import Flicker
 from heliograph.link.budget import Budget, Spot, budgets
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings

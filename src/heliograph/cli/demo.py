@@ -9,7 +9,7 @@ from heliograph.base.files import clear_write_errors
 from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.cli.simulate import load_scene
-from heliograph.experiments.demo.drive import film_bytes, run
+from heliograph.experiments.demo import film_bytes, run
 from heliograph.link.film import frames_of
 from heliograph.web.replay import receive_and_record
 

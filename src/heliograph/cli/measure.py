@@ -10,7 +10,7 @@ from heliograph.base.errors import SettingsError
 from heliograph.base.workers import limit_threads
 from heliograph.cli import console, options
 from heliograph.cli.options import option
-from heliograph.experiments.calibration import known_receiver
+from heliograph.experiments import known_receiver
 from heliograph.experiments.detection import acquisition as detection
 from heliograph.experiments.detection import header_separation as headers
 from heliograph.experiments.error_rates import real_input

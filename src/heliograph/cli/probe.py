@@ -12,8 +12,8 @@ from heliograph.cli.options import option
 from heliograph.media import open_film
 from heliograph.media.live.reader import is_camera
 from heliograph.probe import probe_film
-from heliograph.probe.choice import with_receiver_for
 from heliograph.probe.page import write_page
+from heliograph.probe.screens import with_receiver_for
 from heliograph.probe.words import as_mapping, lines
 
 

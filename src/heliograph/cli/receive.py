@@ -35,7 +35,7 @@ from heliograph.media.images import PICTURE_SUFFIXES, is_pattern
 from heliograph.media.live.reader import film_path, is_camera, live_of
 from heliograph.probe import Findings, probe_film
 from heliograph.probe.activity import MOST_FRAMES
-from heliograph.probe.choice import with_receiver_for
+from heliograph.probe.screens import with_receiver_for
 from heliograph.probe.words import as_mapping, in_short
 from heliograph.receive.registry import RECEIVERS
 from heliograph.road.codec import road_values, road_words

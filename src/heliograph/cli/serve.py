@@ -51,8 +51,8 @@ def serve(
     camera_settings(camera or ())
     try:
         from heliograph.web.app import create_app
-        from heliograph.web.limits import Limits
         from heliograph.web.serve import Address, open_port, run
+        from heliograph.web.shared import Limits
     except ImportError as error:
         raise MediaError(f"the pages require the extra 'web' ({error.name}): pip install 'heliograph[web]'") from None
     served, limits = Address(*astuple(address)), Limits()

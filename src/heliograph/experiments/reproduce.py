@@ -22,12 +22,12 @@ EXPERIMENTS = {
     "fig6": ("detection.experiment", "Fig. 6: false detections and identities"),
     "fig7": ("patterns.header", "Fig. 7: the header"),
     "fig8": ("patterns.inverse", "Fig. 8 and 9: inverted pattern and sum"),
-    "fig11": ("tracking.experiment", "Fig. 11 and 12: tracking"),
+    "fig11": ("tracking", "Fig. 11 and 12: tracking"),
     "fig13": ("error_rates.experiment", "Bit error rate by distance, static and driving (Fig. 13)"),
     "tables": ("patterns.parameters", "Tables I and II, data rates"),
-    "flicker": ("flicker.experiment", "Flicker of the array"),
+    "flicker": ("flicker", "Flicker of the array"),
     "systems": ("systems", "Other systems in the same channel"),
-    "soft": ("calibration.experiment", "The soft receiver: calibration of LLRs, and distances"),
+    "soft": ("calibration", "The soft receiver: calibration of LLRs, and distances"),
     "scenes": ("error_rates.scenes", "Hard scenes"),
 }
 """Module and title of each experiment, by name; "scenes" runs by name only."""

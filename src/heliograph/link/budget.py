@@ -1,4 +1,4 @@
-"""Link budget before construction: light, electrons, blur, and the range of each layer.
+"""Link budget before construction, or from a film: light, electrons, blur, and the range of each layer.
 
 Ranges follow from the mutual information of the symbols in r = A d + n. A has the symbol images as the channel renders
 them, d = +-1, and n is white Gaussian noise. Pose, blur and brightness are known, and the scene is static. A pattern
@@ -15,7 +15,7 @@ sampled  Luminance at the LED positions, as in the receiver "plain". Other symbo
 import contextlib
 import math
 from bisect import bisect_left
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from typing import Any, Literal
@@ -24,19 +24,26 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError, shown
+from heliograph.base.threads import one_thread
 from heliograph.channel.render import Canvas, add_array
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import ChannelSettings
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
 from heliograph.receive.decode.kernels import sample_cubic
+from heliograph.receive.decode.per_led import at_leds
 from heliograph.receive.detect.alternation import size_limits
+from heliograph.receive.geometry.footprint import footprints, to_quarters
+from heliograph.receive.geometry.pose import Pose
+from heliograph.receive.geometry.window import RIM_PX, window_around
+from heliograph.receive.observe.cutout import Noise
+from heliograph.receive.observe.statistics import light_of_symbols, transform_quarters
 from heliograph.receive.settings import SMALLEST_SIDE_PX
 from heliograph.signal import haar
 from heliograph.signal.formats import AGREED, Format, Mode
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.pwm import SLOTS
-from heliograph.signal.settings import LAYERS, SignalSettings
+from heliograph.signal.settings import LAYERS, MULTIPLICITY, SignalSettings
 
 Kind = Literal["linear", "bound", "sampled"]
 
@@ -471,3 +478,64 @@ class RangeEstimator:
             return 0.0
         above, below = margin(grid[end - 1]), margin(grid[end])
         return grid[end - 1] + (grid[end] - grid[end - 1]) * above / (above - below)
+
+
+REACH_MAX_SIDE = 32  # maximum LEDs per row: the matrices of 64 x 64 LEDs take minutes
+REACH_MAX_PITCH_PX = 3.0  # maximum pitch: receivers reduce nearer arrays to it
+
+_KINDS: dict[str, Kind] = {"plain": "sampled", "soft": "linear"}
+
+Reach = Mapping[str, Mapping[str, float]]
+"""Distance in m by receiver and layer; 0 if a layer is decoded nowhere, infinite beyond all tested distances."""
+
+
+@one_thread()
+def reaches(
+    pose: Pose, gain: float, noise: Noise, distance_m: float, signal: SignalSettings, smallest_px: float | None = None
+) -> Reach:
+    """Estimate the reach of each layer for both receivers, from the light, noise and blur of an array in a film.
+
+    The model moves the array farther away: its pitch shrinks, while gray level, noise and blur in px stay.
+    """
+    if signal.side > REACH_MAX_SIDE or (signal.modulation, signal.header) != ("haar", "m_sequence") or gain <= 0:
+        return {}
+    # distances over the distance in the film, to 12 times as far
+    steps = [max(0.25, pose.pitch / REACH_MAX_PITCH_PX) * 1.03**step for step in range(132)]
+    images = cache(lambda step, kind: _symbol_images(replace(pose, pitch=pose.pitch / steps[step]), signal.side, kind))
+    snr = gain / noise.lit**0.5
+
+    def end_m(kind: Kind, layer: int) -> float:
+        required = required_information(getattr(signal.rate, LAYERS[layer]))
+        numbers = range(len(steps))
+        count = bisect_left(numbers, True, key=lambda step: images(step, kind).information(kind, layer, snr) < required)
+        return math.inf if count == len(steps) else distance_m * steps[count - 1] if count else 0.0
+
+    reach = {}
+    for receiver, kind in _KINDS.items():
+        smallest, _ = size_limits(smallest_px or SMALLEST_SIDE_PX[receiver], math.inf)
+        detected_m = distance_m * signal.side * pose.pitch / smallest
+        reach[receiver] = {layer: min(end_m(kind, number), detected_m) for number, layer in enumerate(LAYERS)}
+    return reach
+
+
+@one_thread()
+def high_information(receiver: str, pose: Pose, gain: float, noise: Noise, side: int) -> float:
+    """Return the information in the high layer in bit per sent bit."""
+    return _symbol_images(pose, side, _KINDS[receiver]).information(_KINDS[receiver], 0, gain / noise.lit**0.5)
+
+
+def _symbol_images(pose: Pose, side: int, kind: Kind) -> SymbolImages:
+    """Render the symbols of an array in differences of pattern and inverse; sample only for the kind "sampled"."""
+    # neither on a pixel nor between two
+    pose = replace(pose, x=0.29, y=0.29)
+    x, y, width, height = window_around(pose, side, RIM_PX)
+    light = light_of_symbols(footprints(pose, (x, y), (height, width), side)).astype(np.float64)
+    layers = np.repeat(np.arange(3.0), np.array(MULTIPLICITY) * (side // 2) ** 2)
+    if kind != "sampled":
+        return SymbolImages((light @ light.T,), (), layers)
+    # neighbouring LEDs share pixels and noise: sample 64 images of noise, 3 % standard error at most
+    white = np.random.default_rng(0).standard_normal((64, height, width))
+    images = [*light.reshape(-1, height, width), *white]
+    samples = np.array([to_quarters(at_leds(image, (x, y), pose, side)) for image in images])
+    responses, noise = np.split(transform_quarters(samples.T), [side * side], axis=1)
+    return SymbolImages((light @ light.T,), ((responses, np.sqrt((noise**2).mean(1))),), layers)

@@ -11,9 +11,9 @@ from heliograph.base.arrays import Floats
 from heliograph.base.config import from_mapping, merge
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
+from heliograph.link.budget import Reach, reaches
 from heliograph.link.film import is_packet
 from heliograph.measure.reception import ArrayTally
-from heliograph.probe.reach import Reach, reaches
 from heliograph.probe.regions import Region
 from heliograph.receive.api import make_receiver
 from heliograph.receive.detect.detection import Detection

@@ -8,12 +8,12 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from heliograph.base.errors import counted
+from heliograph.link.budget import Reach
 from heliograph.probe.arrays import SLACK, ArrayReport, Clock, Setup
 from heliograph.probe.frames import FrameTimes
 from heliograph.probe.headers import HeaderMatch
 from heliograph.probe.levels import Levels
 from heliograph.probe.light import LightRate
-from heliograph.probe.reach import Reach
 from heliograph.probe.regions import Region
 from heliograph.probe.trials import MIN_TURN_DEG, SURE_HEADER, Remedy, is_blurred, options
 from heliograph.receive.geometry.pose import Pose

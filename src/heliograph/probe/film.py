@@ -10,6 +10,7 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
+from heliograph.link.budget import reaches
 from heliograph.link.film import FrameProgress, FrameSource, silent
 from heliograph.link.truth import departures
 from heliograph.probe.activity import Stretch, Stretches
@@ -30,7 +31,6 @@ from heliograph.probe.headers import HeaderMatch, find_header
 from heliograph.probe.levels import Levels, LevelWatch
 from heliograph.probe.light import LightRate, lamp_period, light_rate, pattern_part
 from heliograph.probe.noise import NoiseEstimate, NoiseWatch
-from heliograph.probe.reach import reaches
 from heliograph.probe.regions import Region, regions_of
 from heliograph.probe.screens import area_of, regions_in, screen_cause, screen_causes, screen_film_causes
 from heliograph.probe.trials import Remedy, find_remedy, find_turned_remedy, is_blurred, other_packets

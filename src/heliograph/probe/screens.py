@@ -1,7 +1,8 @@
 """Diagnosis of a filmed screen: number of cells, pattern rate, and causes of a failed reception."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -9,13 +10,16 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.link.settings import PRESETS
+from heliograph.link.settings import PRESETS, LinkSettings
+from heliograph.media import FilmReader
+from heliograph.media.live.reader import live_of
 from heliograph.probe.activity import LEAST_FRAMES, stretch_of
 from heliograph.probe.arrays import Setup
 from heliograph.probe.causes import Cause, RegionMeasures, RegionReport, Rule, diagnose
 from heliograph.probe.levels import Levels
 from heliograph.probe.light import light_rate
 from heliograph.probe.regions import Region, regions_of
+from heliograph.receive.api import choose_receiver
 from heliograph.receive.screen.clock import ANY_RATES
 from heliograph.receive.screen.locate import find_quadrilaterals, mean_change, reduce_frame
 from heliograph.receive.sync.frame_clock import frame_period
@@ -333,3 +337,16 @@ def area_of(frames: Sequence[Frame]) -> Floats | None:
     small, factor = reduce_frame(mean_change([np.asarray(f.pixels / f.full_scale, np.float32) for f in used]))
     found = find_quadrilaterals(small, factor)
     return found[0] if found else None
+
+
+def with_receiver_for(film: FilmReader, signal: SignalSettings, link: LinkSettings) -> tuple[LinkSettings, str]:
+    """Return settings with the receiver for a film, and a line on the choice."""
+    name, reason = choose_receiver(signal, film.rate_hz)
+    frames = [] if live_of(film) is not None or film.rate_hz > 250 else list(islice(film, 96))
+    screen = screen_cause(frames, film.rate_hz) if frames else None
+    if screen is not None:
+        name, reason = "screen", screen.why
+    elif name == "screen":
+        # a film in slow motion may state another rate, which "plain" reports
+        name = "plain"
+    return replace(link, receive=replace(link.receive, receiver=name)), f"receiver {name}: {reason}"

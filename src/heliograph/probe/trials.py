@@ -11,10 +11,10 @@ import numpy as np
 
 from heliograph.base.config import merge
 from heliograph.base.frames import Frame
+from heliograph.link.budget import REACH_MAX_PITCH_PX, REACH_MAX_SIDE, high_information
 from heliograph.probe.arrays import SLACK, Clock, Setup, Trial, clock_of, run_receiver, search_near
 from heliograph.probe.headers import HeaderMatch
 from heliograph.probe.light import LightRate
-from heliograph.probe.reach import MAX_PITCH_PX, MAX_SIDE, high_information
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.observe.cutout import Noise
 from heliograph.receive.settings import SMALLEST_SIDE_PX, ReceiveSettings
@@ -124,9 +124,9 @@ def _is_hopeless(header: HeaderMatch, receiver: str, noise: Noise, signal: Signa
     """Return True if size, blur and noise leave too little information even for the high layer."""
     pose = header.fit.pose
     pose = replace(pose, pitch=pose.pitch * header.side / signal.side)
-    if signal.side > MAX_SIDE or signal.modulation != "haar":
-        return pose.pitch < 1.0 or (receiver == "soft" and signal.side > MAX_SIDE)
-    while pose.pitch > MAX_PITCH_PX:
+    if signal.side > REACH_MAX_SIDE or signal.modulation != "haar":
+        return pose.pitch < 1.0 or (receiver == "soft" and signal.side > REACH_MAX_SIDE)
+    while pose.pitch > REACH_MAX_PITCH_PX:
         pose = replace(pose, pitch=pose.pitch / 2, blur=pose.blur / 2)
     # decoding needs 1.3 times the rate, but the model is cautious
     return high_information(receiver, pose, header.fit.gain, noise, signal.side) < 0.8 * signal.rate.high

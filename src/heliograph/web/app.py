@@ -15,10 +15,9 @@ from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.web import built, files, receive, transmit, watch
 from heliograph.web.crashes import is_crash, report
-from heliograph.web.limits import Limits
 from heliograph.web.recorded_drive import RECORDED_DRIVE
 from heliograph.web.security import HEADERS, Access, Guard
-from heliograph.web.shared import Shared
+from heliograph.web.shared import Limits, Shared
 from heliograph.web.stores import BusyError, MissingError
 
 STATUS: dict[type[Exception], int] = {files.TooLargeError: 413, BusyError: 503, MissingError: 404}

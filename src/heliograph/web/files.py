@@ -12,8 +12,7 @@ from fastapi import APIRouter, Header, Request
 from fastapi.responses import FileResponse
 
 from heliograph.base.errors import HeliographError, MediaError
-from heliograph.web.limits import Limits
-from heliograph.web.shared import Shared, SharedState, body_of
+from heliograph.web.shared import Limits, Shared, SharedState, body_of
 from heliograph.web.stores import StoredFilm
 
 SUFFIXES = frozenset(

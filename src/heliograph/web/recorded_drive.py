@@ -6,7 +6,7 @@ from pathlib import Path
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings
 from heliograph.media import open_film
-from heliograph.probe.choice import with_receiver_for
+from heliograph.probe.screens import with_receiver_for
 from heliograph.receive.api import make_receiver
 from heliograph.signal.settings import SignalSettings
 

@@ -12,9 +12,9 @@ from fastapi import FastAPI
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from heliograph.base.errors import SettingsError
-from heliograph.web.limits import Limits
 from heliograph.web.recorded_drive import warm_up
 from heliograph.web.security import LOOPBACK, Access
+from heliograph.web.shared import Limits
 
 
 def http_protocol(idle_s: float) -> type[H11Protocol]:

@@ -7,7 +7,7 @@ left out unless stated.
 from collections.abc import Callable, Sequence
 
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
-from heliograph.experiments.tracking.experiment import rates
+from heliograph.experiments.tracking import rates
 from heliograph.link.settings import LinkSettings, load_settings
 
 Parameter = tuple[str, float, str, Callable[[LinkSettings], float]]

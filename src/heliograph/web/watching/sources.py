@@ -19,7 +19,7 @@ from heliograph.measure.live_film import LiveFilm
 from heliograph.measure.reception import TruthSource
 from heliograph.media import open_film
 from heliograph.media.live.reader import LiveReader, is_camera, live_of
-from heliograph.probe.choice import with_receiver_for
+from heliograph.probe.screens import with_receiver_for
 from heliograph.receive.api import choose_receiver
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.shared import Shared, named_as
@@ -114,7 +114,7 @@ def _simulate_drive(
     request: WatchRequest, base: LinkSettings, changes: Sequence[Mapping[str, Any]], *, is_auto: bool
 ) -> Source:
     """Return a drive that is rendered during the reception."""
-    from heliograph.experiments.demo.drive import demo_messages  # imports Matplotlib
+    from heliograph.experiments.demo import demo_messages  # imports Matplotlib
 
     values = {"distance_m": request.distance_m, "speed_m_s": request.speed_m_s}
     channel: dict[str, Any] = {key: value for key, value in values.items() if value is not None}

@@ -23,9 +23,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from heliograph.base.arrays import Floats
+from heliograph.experiments import flicker_metrics as metrics
 from heliograph.experiments import plots
-from heliograph.experiments.flicker import metrics
-from heliograph.experiments.flicker.metrics import MFTP_S, SVM_LIMIT, Flicker
+from heliograph.experiments.flicker_metrics import MFTP_S, SVM_LIMIT, Flicker
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import transmitters

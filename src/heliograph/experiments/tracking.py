@@ -41,7 +41,7 @@ from heliograph.channel.camera import film
 from heliograph.channel.truth import ArrayTruth, Truth
 from heliograph.experiments import plots
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
-from heliograph.experiments.tracking.trackers import (
+from heliograph.experiments.trackers import (
     BackgroundMotion,
     Follower,
     InvertedSignals,

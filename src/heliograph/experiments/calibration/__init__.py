@@ -1,1 +1,0 @@
-"""Calibration of the soft receiver, and the loss by channel estimation."""

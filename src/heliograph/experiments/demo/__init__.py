@@ -1,1 +1,0 @@
-"""Demonstration: a simulated and received drive with a report."""

@@ -1,1 +1,0 @@
-"""Flicker of the light of an array."""

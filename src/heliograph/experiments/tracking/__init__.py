@@ -1,1 +1,0 @@
-"""Comparison of trackers from the same detection on the same frames."""
