@@ -26,9 +26,19 @@ def test_the_page_on_cameras_has_each_setting() -> None:
     assert named == {field.name for field in fields(CameraSettings)} - {"duration_s", "channel", "features"}
 
 
+def test_features_name_existing_tests() -> None:
+    named = re.findall(r"(tests/\S+\.py)::(\w+)", (ROOT / "tests" / "README.md").read_text())
+    assert len(named) > 40
+    for path, name in named:
+        assert re.search(rf"def {name}\b", (ROOT / path).read_text()), f"{path} has no {name}"
+
+
 ANCHORED_LEVELS = 3  # heading levels with anchors on the site: `myst_heading_anchors` in docs/conf.py
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)")
-PAGES = [*sorted(DOCS.rglob("*.md")), *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md"))]
+PAGES = [
+    *sorted(DOCS.rglob("*.md")),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "tests/README.md")),
+]
 
 
 def anchors(text: str) -> set[str]:

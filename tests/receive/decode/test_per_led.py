@@ -15,7 +15,7 @@ from scenes import SIDE, draw, drawn_film, film, levels, link, pitch_at, receive
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
-from heliograph.receive.decode import kernels, per_led
+from heliograph.receive.decode import kernels
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.per_led import at_leds, decode_per_led, pair_luminances, unblurred
 from heliograph.receive.decode.per_quad import decode_per_quad
@@ -47,16 +47,14 @@ def pair(poses: tuple[Pose, Pose], x: Floats) -> tuple[CombinedFrame, CombinedFr
     (60.0, 0.0, (0.0, 0.0), 1e-10, 1e-4), (60.0, 0.05, (0.0, 0.0), 1e-10, 1e-4), (50.0, 0.0, (0.05, 0.3), 1e-8, 0.05),
 ])  # fmt: skip
 def test_inverse_restores_luminances_without_noise(
-    distance_m: float, roll: float, motion: tuple[float, float], loading: float, accuracy: float, monkeypatch: Patch
+    distance_m: float, roll: float, motion: tuple[float, float], loading: float, accuracy: float
 ) -> None:
-    monkeypatch.setattr(per_led, "ZERO_FORCING_LOADING", loading)
     pose = replace(POSE, pitch=pitch_at(distance_m), roll=roll)
     poses, x = (pose, pose.moved(*motion)), np.random.default_rng(3).integers(0, 5, (SIDE, SIDE)) / 4
-    assert np.allclose(unblurred(pair(poses, x), poses, GAIN, SIDE), 4 * x - 2, atol=accuracy)
+    assert np.allclose(unblurred(pair(poses, x), poses, GAIN, SIDE, loading), 4 * x - 2, atol=accuracy)
 
 
-def test_inverse_solves_the_normal_equations(monkeypatch: Patch) -> None:
-    monkeypatch.setattr(per_led, "ZERO_FORCING_LOADING", 1e-3)
+def test_inverse_solves_the_normal_equations() -> None:
     pose, rng = Pose(21.2, 20.7, pitch_at(70), 0.02, 0.52), np.random.default_rng(2)
     first, second = (Frame(k, 0.0, rng.integers(0, 255, (SIZE, SIZE)).astype(np.uint8)) for k in range(2))
     # receiver window: 2.5 px beyond the array
@@ -64,7 +62,7 @@ def test_inverse_solves_the_normal_equations(monkeypatch: Patch) -> None:
     a = blur_matrix(pose, SIDE, (x0, y0), (h, w))
     change = (first.pixels.astype(float) - second.pixels)[y0 : y0 + h, x0 : x0 + w].ravel() / GAIN
     expected = 2 * np.linalg.solve(a.T @ a + 1e-3 * np.eye(SIDE * SIDE), a.T @ change)
-    assert np.allclose(unblurred((first, second), (pose, pose), GAIN, SIDE).ravel(), expected, atol=1e-5)
+    assert np.allclose(unblurred((first, second), (pose, pose), GAIN, SIDE, 1e-3).ravel(), expected, atol=1e-5)
 
 
 def test_inverse_of_dark_frames_is_zero() -> None:

@@ -35,11 +35,10 @@ from heliograph.receive.track.track import Track, TrackedPair
 from heliograph.signal.formats import AGREED
 from heliograph.signal.packet import PacketFormat
 
-ZERO_FORCING_LOADING = 1e-4
-"""lambda: loading of the diagonal of A^T A, the image of a wide array with all LEDs on being 1; about noise / light."""
 
-
-def unblurred(frames: tuple[AnyFrame, AnyFrame], poses: tuple[Pose, Pose], gain: float, side: int) -> Floats:
+def unblurred(
+    frames: tuple[AnyFrame, AnyFrame], poses: tuple[Pose, Pose], gain: float, side: int, loading: float = 1e-4
+) -> Floats:
     """Normalised luminances x' = level - 2 of a pair, deblurred.
 
     With A_1 and A_2 at the poses of the two frames, the background equal in both and s = 2 x - 1:
@@ -47,7 +46,8 @@ def unblurred(frames: tuple[AnyFrame, AnyFrame], poses: tuple[Pose, Pose], gain:
         d = (r - r_inverted) / gain = A_1 x - A_2 (1 - x) = M s + (A_1 - A_2) 1 / 2,  M = (A_1 + A_2) / 2
         s = (M^T M + lambda I)^-1 M^T (d - (A_1 - A_2) 1 / 2)
 
-    M is A at the middle pose, the blur wider by the motion: sigma^2 + (half the motion)^2.
+    M is A at the middle pose, the blur wider by the motion: sigma^2 + (half the motion)^2. The loading lambda is about
+    noise / light, the image of a wide array with all LEDs on being 1.
     """
     middle = Pose.midway(*poses)
     motion = 0.5 * (poses[1].x - poses[0].x), 0.5 * (poses[1].y - poses[0].y)
@@ -59,7 +59,7 @@ def unblurred(frames: tuple[AnyFrame, AnyFrame], poses: tuple[Pose, Pose], gain:
     across, down = footprints(middle, corner, shape, side, motion)
     # M^T M: <led_i, led_j> = <across_i, across_j> <down_i, down_j>
     gram = (across @ across.T) * (down @ down.T)
-    gram[np.diag_indices_from(gram)] += ZERO_FORCING_LOADING
+    gram[np.diag_indices_from(gram)] += loading
     _, s, _ = lapack.dposv(gram, np.einsum("kj,kj->k", down @ change, across), overwrite_a=1)
     return 2 * to_grid(s)
 
