@@ -58,8 +58,7 @@ def unblurred(
     change -= 0.5 * (image_of(ones, poses[0], corner, shape) - image_of(ones, poses[1], corner, shape))
     across, down = footprints(middle, corner, shape, side, motion)
     # M^T M: <led_i, led_j> = <across_i, across_j> <down_i, down_j>
-    gram = (across @ across.T) * (down @ down.T)
-    gram[np.diag_indices_from(gram)] += loading
+    gram = (across @ across.T) * (down @ down.T) + loading * np.eye(side * side)
     _, s, _ = lapack.dposv(gram, np.einsum("kj,kj->k", down @ change, across), overwrite_a=1)
     return 2 * to_grid(s)
 
