@@ -84,13 +84,13 @@ def test_an_end_of_data_shows_no_half_slot(simulate: ModuleType, program: Any) -
 @pytest.mark.parametrize(
     "line", ["out pins, 2 side 0", "set y, 32 side 0", "nop side 4", "nop side 0 [8]", "mov x, y side 0", "nop"]
 )
-def test_what_the_machine_cannot_hold_is_refused(simulate: ModuleType, line: str) -> None:
+def test_unsupported_instructions_are_refused(simulate: ModuleType, line: str) -> None:
     with pytest.raises(ValueError, match=re.escape(line)):
         simulate.assemble(f".side_set 2\n{line}\n")
 
 
 @pytest.mark.slow
-def test_the_simulation_is_run_as_the_readme_says(tmp_path: Path) -> None:
+def test_simulation_runs_as_in_the_readme(tmp_path: Path) -> None:
     light = slots(8)
     for slot_ns in (250_000, 250_100):
         write_slots(tmp_path / "patterns.h", light, SlotForm(16, 4, slot_ns, len(light)))

@@ -65,7 +65,7 @@ def test_a_name_that_is_too_long_is_refused_before_anything_is_written(tmp_path:
     ("a\u2028b\u0085c", r"a\u2028b\x85c"), ("\u202egpj.exe", r"\u202egpj.exe"), ("\ud800", r"\ud800"),
     (r"C:\new\table", r"C:\new\table"),
 ])  # fmt: skip
-def test_what_a_terminal_cannot_show_is_escaped(text: str, shown: str) -> None:
+def test_unprintable_characters_are_escaped(text: str, shown: str) -> None:
     assert (printable(text), printable(shown)) == (shown, shown)
     shown.encode()
 

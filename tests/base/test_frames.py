@@ -39,7 +39,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("changes", "says"), WRONG.values(), ids=WRONG)
-def test_what_is_no_frame_is_one_clear_line(changes: dict[str, Any], says: str) -> None:
+def test_invalid_frame_is_reported_in_one_line(changes: dict[str, Any], says: str) -> None:
     with pytest.raises(HeliographError, match=says):
         Frame(**{"index": 0, "time_s": 0.0, "pixels": GRAY, **changes})
 

@@ -168,7 +168,7 @@ def test_settings_may_begin_with_a_mark_of_the_order_of_bytes(tmp_path: Path) ->
     assert read_toml(file) == {"channel": {"distance_m": 3}}
 
 
-def test_what_finds_no_room_is_said_before(tmp_path: Path) -> None:
+def test_missing_disk_space_is_reported_in_advance(tmp_path: Path) -> None:
     room_for(tmp_path / "a", 1)
     room_for(tmp_path / "none" / "a", 1 << 80)
     with pytest.raises(MediaError, match=r"it takes 1,000,000,000\.0 GB, and .* are free; write less"):

@@ -83,7 +83,7 @@ DOORS: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize(("call", "says"), DOORS.values(), ids=DOORS)
-def test_every_public_door_says_what_it_takes(call: Callable[[Path], object], says: str, tmp_path: Path) -> None:
+def test_public_functions_report_accepted_types(call: Callable[[Path], object], says: str, tmp_path: Path) -> None:
     with pytest.raises(h.HeliographError, match=re.escape(says)):  # at the call, before the first packet
         call(tmp_path)
     assert not list(tmp_path.iterdir())

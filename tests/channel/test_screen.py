@@ -104,7 +104,7 @@ def test_white_balance_changes_light_by_its_colour_and_hardly_white() -> None:
     assert 0.02 < np.ptp(light) / 0.4 < 0.08  # luma weights: 0.21 red, 0.07 blue
 
 
-def test_a_variable_frame_rate_is_told_by_the_stamps() -> None:
+def test_time_stamps_reveal_a_variable_frame_rate() -> None:
     shot = film_of({"duration_s": 1.0, "camera": {**CAMERA, "uneven_s": 0.004}})
     assert 0.002 < np.array([frame.time_s - frame.index / 30 for frame, _ in shot]).std() < 0.006
     assert [truth.time_s for _, truth in shot] == pytest.approx([frame.time_s for frame, _ in shot])

@@ -62,13 +62,13 @@ def test_sums_are_the_light_rendered_frame_by_frame(changes: dict[str, Any], roi
     {"speed_m_s": 10.0, "distance_m": 60.0}, {"arrays": [{"vx_m_s": 1.0}]}, {"camera": {"row_time_s": 1e-6}},
     {"arrays": [{"x_m": 0, "y_m": 0}, {"x_m": 0.05, "y_m": 0, "z_offset_m": 3.0}]},  # overlapping arrays
 ])  # fmt: skip
-def test_what_is_no_such_sum_is_rendered_frame_by_frame(changes: dict[str, Any]) -> None:
+def test_scenes_without_a_common_sum_are_rendered_frame_by_frame(changes: dict[str, Any]) -> None:
     scene = scene_of(**changes)
     block = frame_block(scene, np.arange(4))
     assert not StillLight(scene).take(block, windows(block, scene.settings.camera, 4))
 
 
-def test_a_scene_that_starts_to_move_is_looked_at_anew() -> None:
+def test_scene_that_starts_to_move_is_searched_again() -> None:
     scene = scene_of(distance_m=60.0, speed_profile=[(0.0, 0.0), (0.05, 0.0), (0.1, 20.0)], duration_s=0.2)
     still, camera = StillLight(scene), scene.settings.camera
     blocks = [frame_block(scene, np.arange(k, k + 10)) for k in (0, 40, 60)]

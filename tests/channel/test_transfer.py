@@ -28,7 +28,7 @@ def test_frames_are_delivered_unless_dropped_which_leaves_gaps() -> None:
     assert all(f.pixels[0, 0] == f.index % 251 and f.time_s == f.index / 1000 for f in out)
 
 
-def test_a_camera_that_numbers_what_it_delivers_leaves_no_gap() -> None:
+def test_numbers_of_delivered_frames_have_no_gap() -> None:
     marked, counted = deliver(CameraSettings(dropped=0.1), 500), deliver(CameraSettings(dropped=0.1, gaps=False), 500)
     assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(marked, counted, strict=True))
     assert [(f.index, round(f.time_s * 1000)) for f in counted] == [(k, k) for k in range(len(counted))]

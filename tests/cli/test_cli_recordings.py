@@ -70,7 +70,9 @@ def test_a_cropped_and_rotated_film_is_read(shots: Path, known: Reading, tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["npy", "mraw"])
-def test_convert_keeps_the_whole_frames_of_a_cut_recording(kind: str, paths: Paths, tmp_path: Path, call: Call) -> None:
+def test_convert_keeps_the_complete_frames_of_a_truncated_recording(
+    kind: str, paths: Paths, tmp_path: Path, call: Call
+) -> None:
     whole, clockless = paths[kind]
     path = tmp_path / whole.name
     path.write_bytes(whole.read_bytes())

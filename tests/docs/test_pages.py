@@ -15,7 +15,7 @@ DOCS = ROOT / "docs"
 
 
 @pytest.mark.slow
-def test_settings_page_is_what_the_code_says() -> None:
+def test_settings_page_matches_the_code() -> None:
     made = runpy.run_path(str(ROOT / "scripts" / "make_settings.py"))["page"]()
     assert (DOCS / "settings.md").read_text() == made, "run make settings"
 

@@ -89,7 +89,7 @@ def test_the_single_mode_is_as_even_as_pairs(waves: dict[str, NDArray[np.float64
     assert single.svm == pytest.approx(pairs.svm, rel=0.02)
 
 
-def test_all_on_headers_break_what_m_sequences_keep(waves: dict[str, NDArray[np.float64]]) -> None:
+def test_all_on_headers_fail_where_m_sequences_work(waves: dict[str, NDArray[np.float64]]) -> None:
     header, all_on = (metrics.measure(waves[name], SLOT_S) for name in (Signal.HEADER, Signal.ALL_ON_HEADER))
     assert np.ptp(waves[Signal.HEADER]) == header.percent == 0
     assert header.svm == pytest.approx(0, abs=1e-9)

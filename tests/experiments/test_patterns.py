@@ -20,7 +20,7 @@ def results() -> dict[str, ExperimentResult]:
 
 
 @pytest.mark.parametrize("key", MODULES)
-def test_results_are_whole(key: str, results: dict[str, ExperimentResult]) -> None:
+def test_results_are_complete(key: str, results: dict[str, ExperimentResult]) -> None:
     done = results[key]
     assert done.findings
     assert all(any(letter.isdigit() for letter in finding.ours) for finding in done.findings)

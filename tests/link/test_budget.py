@@ -29,7 +29,7 @@ def reference() -> heliograph.Budget:
 
 
 @pytest.mark.slow
-def test_an_array_is_seen_as_the_reference_link_says(reference: heliograph.Budget) -> None:
+def test_array_appears_as_in_the_reference_link(reference: heliograph.Budget) -> None:
     """1.17 px per LED at 50 m, 80 % of a 15,000-electron full well, 0.6 % noise."""
     spot = reference.spot
     assert spot.pitch_px == pytest.approx(1.167, abs=1e-3)
@@ -81,7 +81,7 @@ def test_distances_of_one_link_have_one_range() -> None:
     ({}, {"distance_m": 5.0}, "at 5 m the array is not in the picture: +875, -583 px from the centre"),
 ])  # fmt: skip
 @pytest.mark.slow
-def test_what_spoils_a_budget_is_said(light: dict[str, Any], channel: dict[str, Any], says: str) -> None:
+def test_obstacles_of_a_budget_are_reported(light: dict[str, Any], channel: dict[str, Any], says: str) -> None:
     found = heliograph.budget(small(**channel), heliograph.LightSettings(**light))
     assert any(says in note for note in found.notes), found.notes
     assert bool(found.layers) == ("saturates" not in says)
@@ -92,7 +92,7 @@ def test_what_spoils_a_budget_is_said(light: dict[str, Any], channel: dict[str, 
     ((load_settings(), 3), "light is a heliograph.LightSettings, not 3"),
     ((small(distance_m=3.0, arrays=({"z_offset_m": -4.0, "vz_m_s": 9.0},)),), "1 m behind the camera"),
 ])  # fmt: skip
-def test_what_is_no_link_is_one_line(arguments: Any, says: str) -> None:
+def test_invalid_link_is_reported_in_one_line(arguments: Any, says: str) -> None:
     with pytest.raises(SettingsError) as caught:
         heliograph.budget(*arguments)
     assert says in str(caught.value)

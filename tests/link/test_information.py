@@ -90,7 +90,7 @@ def test_a_range_ends_where_the_code_no_longer_gets_enough() -> None:
     assert estimator.range_m("linear", "paired", "low", 0.5, 99) == 0
 
 
-def test_what_a_code_needs_rises_with_its_rate() -> None:
+def test_required_information_rises_with_the_rate() -> None:
     rates, needed = zip(*budget.REQUIRED_INFORMATION, strict=True)
     assert required_information(1 / 3) == needed[0]
     assert required_information(0.45) == pytest.approx((needed[1] + needed[2]) / 2)

@@ -163,7 +163,7 @@ def test_ctrl_c_keeps_the_film_and_its_truth_so_far(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("frames", [0, 20])
-def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
+def test_failure_leaves_existing_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
     (tmp_path / "a.mkv").write_bytes(b"old film")
     (tmp_path / "a.mkv.truth.npz").write_bytes(b"old truth")
     interrupted_after(monkeypatch, frames, SettingsError("broken") if frames else KeyboardInterrupt())

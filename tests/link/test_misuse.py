@@ -20,7 +20,7 @@ GOOD = [{"high": [b"kept"]}]
     (({"high": b"a"}, 0, {"side": 8}), "SignalSettings, not dict"),
     (({"high": b"a"}, 0, LinkSettings()), "those of a link are .signal"),
 ])  # fmt: skip
-def test_encode_says_what_is_wrong(arguments: tuple[Any, ...], says: str) -> None:
+def test_encode_reports_wrong_arguments(arguments: tuple[Any, ...], says: str) -> None:
     with pytest.raises(HeliographError, match=says):
         encode(*arguments)
 
@@ -30,7 +30,7 @@ def test_encode_says_what_is_wrong(arguments: tuple[Any, ...], says: str) -> Non
     (np.zeros((5, 16, 16)), r"whole packets of 100, not \(5, 16, 16\)"),
     ("abc", "real numbers"), ([[1], [2, 3]], "real numbers"), (np.zeros((100, 16, 16), complex), "real numbers"),
 ])  # fmt: skip
-def test_decode_says_what_is_wrong_at_once(luminances: Any, says: str) -> None:
+def test_decode_reports_wrong_arguments_immediately(luminances: Any, says: str) -> None:
     with pytest.raises(HeliographError, match=says):
         decode(luminances)  # raises before the first message is requested
 
@@ -54,7 +54,7 @@ def test_a_luminance_absurdly_beyond_the_others_is_an_erasure(fault: float, unit
     assert [(one.identity, one.data) for one in decode(x)] == [(7, b"kept")]
 
 
-def test_nothing_is_read_where_nothing_is_known() -> None:
+def test_empty_luminances_decode_to_nothing() -> None:
     assert not list(decode(np.full((100, 16, 16), np.nan)))
     assert not list(decode(np.zeros((100, 16, 16))))
 
@@ -70,7 +70,7 @@ def test_nothing_is_read_where_nothing_is_known() -> None:
     ({"recordings": 3}, "Recordings, not int"), ({"roi_margin_px": "a"}, "whole number of pixels"),
     ({"roi_margin_px": -1}, "at least 0, not -1"),
 ])  # fmt: skip
-def test_simulate_says_what_is_wrong(changes: dict[str, Any], says: str) -> None:
+def test_simulate_reports_wrong_arguments(changes: dict[str, Any], says: str) -> None:
     given = {"settings": load_settings("static"), "messages": GOOD, "seed": 0, **changes}
     with pytest.raises(HeliographError, match=says):
         simulate(**given)

@@ -101,7 +101,7 @@ def test_rows_are_read_in_blocks_of_4096(path: Path) -> None:
     assert [int(row["index"]) for row in open_truth(path).rows()] == list(range(8197))
 
 
-def test_an_aborted_or_failed_file_leaves_nothing(path: Path) -> None:
+def test_aborted_or_failed_file_is_removed(path: Path) -> None:
     writer = TruthWriter(path, SETTINGS, MESSAGES, 0)
     with pytest.raises(KeyboardInterrupt), writer.finishing():
         raise KeyboardInterrupt
@@ -185,7 +185,7 @@ def test_rows_of_either_version_are_read(written: Path) -> None:
     assert "damaged" in complaint(written)
 
 
-def test_a_header_takes_no_memory_for_what_it_claims(written: Path) -> None:
+def test_claimed_sizes_allocate_no_memory(written: Path) -> None:
     for claimed in (1 << 31, (1 << 16) + 1):
         rewritten(written, frames_npy=b"\x93NUMPY\x02\0" + claimed.to_bytes(4, "little") + bytes(1 << 24))
         assert "damaged" in complaint(written)  # import modules before measuring

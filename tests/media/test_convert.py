@@ -88,7 +88,7 @@ def test_unsupported_targets_leave_no_file(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.h5"]
 
 
-def test_whole_frames_of_a_damaged_film_are_kept(tmp_path: Path) -> None:
+def test_complete_frames_of_a_damaged_film_are_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.mkv"
     film(path)
     data = path.read_bytes()

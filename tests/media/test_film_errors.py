@@ -63,7 +63,7 @@ def test_missing_folder_text_and_empty(tmp_path: Path) -> None:
     (".mkv", "ffv1", 10), (".mkv", "h264", 10), (".mkv", "mjpeg", 10),
     (".nut", "ffv1", 10), (".nut", "h264", 10), (".avi", None, 10), (".mp4", None, 0), (".h5", None, 0),
 ])  # fmt: skip
-def test_a_cut_film_gives_its_whole_frames_first(tmp_path: Path, suffix: str, codec: str | None, least: int) -> None:
+def test_truncated_film_gives_its_complete_frames(tmp_path: Path, suffix: str, codec: str | None, least: int) -> None:
     path = film_of(tmp_path / f"a{suffix}", codec=codec)
     whole_film = [frame.pixels for frame in read(path)]
     length = path.stat().st_size
@@ -104,12 +104,12 @@ def test_every_slice_is_checked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("length", ["01ffffffffffff00", "00ffffffffffffff00"])
-def test_a_film_whose_head_claims_more_than_any_file_has_ends_early(tmp_path: Path, length: str) -> None:
+def test_film_with_an_impossible_frame_count_ends_early(tmp_path: Path, length: str) -> None:
     (tmp_path / "a.mkv").write_bytes(bytes.fromhex(f"1a45dfa3{length}") + bytes(9))
     assert "ends in the middle" in refused(tmp_path / "a.mkv")[1]
 
 
-def test_whole_films_are_known_as_whole(tmp_path: Path) -> None:
+def test_complete_films_are_recognised(tmp_path: Path) -> None:
     assert [whole.ends_early(film_of(tmp_path / f"a{suffix}")) for suffix in ALL[:-1]] == [False] * 4
     assert whole.ends_early(Path(__file__)) is None
 
@@ -265,7 +265,7 @@ def test_a_closed_film(tmp_path: Path) -> None:
         next(iter(film))
 
 
-def test_a_failing_finish_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_finish_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def denied(*_: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 

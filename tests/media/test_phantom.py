@@ -72,7 +72,7 @@ def test_a_recording_of_a_real_camera(data: Path) -> None:
 
 
 @pytest.mark.parametrize("stamped", [True, False])
-def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, stamped: bool) -> None:
+def test_truncated_file_gives_its_complete_frames(tmp_path: Path, stamped: bool) -> None:
     levels = noise(5, 6, 8, 12)
     path = write_cine(tmp_path / "a.cine", list(levels), 16, 12, [0, 1, 2, 3, 4] if stamped else None)
     whole = path.read_bytes()

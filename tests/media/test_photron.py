@@ -54,7 +54,7 @@ def test_the_rate_is_that_of_the_frames_that_were_saved(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("word", [8, 12, 16])
 @pytest.mark.parametrize("lost", [1, 50])
-def test_a_cut_file_gives_its_whole_frames_first(tmp_path: Path, word: int, lost: int) -> None:
+def test_truncated_file_gives_its_complete_frames(tmp_path: Path, word: int, lost: int) -> None:
     levels = noise(5, 6, 10, 8)
     path = write_mraw(tmp_path / "a.mraw", levels, word, 8 if word == 8 else 12)
     os.truncate(path, path.stat().st_size - lost)

@@ -107,7 +107,7 @@ def test_an_array(tmp_path: Path, dtype: str) -> None:
     assert {frame.pixels.dtype for frame in read(path, **RATE)} == {levels.dtype}
 
 
-def test_a_cut_array_gives_its_whole_frames_first(tmp_path: Path) -> None:
+def test_truncated_array_gives_its_complete_frames(tmp_path: Path) -> None:
     levels, path = noise(9, 6, 10, 16), tmp_path / "a.npy"
     np.save(path, levels)
     os.truncate(path, 128 + 4 * 120 + 60)
@@ -215,7 +215,7 @@ def test_a_jpeg_that_lacks_blocks_is_damaged(tmp_path: Path, capfd: pytest.Captu
     [], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2], [cv2.IMWRITE_JPEG_OPTIMIZE, 1],
 ])  # fmt: skip
 @pytest.mark.parametrize("colours", [1, 3])
-def test_whole_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], colours: int) -> None:
+def test_complete_jpegs_of_all_forms_are_read(tmp_path: Path, options: list[int], colours: int) -> None:
     """Include metadata unknown to FFmpeg, and trailing bytes."""
     gray = jpeg(np.random.default_rng(1), 41, 61)
     picture = gray if colours == 1 else np.stack([gray, gray // 2, 255 - gray], axis=-1)

@@ -97,7 +97,9 @@ def test_a_c_header_has_the_bytes_of_the_bit_planes(tmp_path: Path) -> None:
 @KINDS
 @given(where=st.floats(0, 1, exclude_max=True))
 @examples(25)
-def test_a_cut_file_gives_its_whole_slots(kind: str, where: float, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_truncated_file_gives_its_complete_slots(
+    kind: str, where: float, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     path, slots = tmp_path_factory.mktemp("cut") / f"a{kind}", drawn(8, 6)
     wrote(path, slots)
     whole, read = path.read_bytes(), list[Slots]()
@@ -138,7 +140,7 @@ def test_rows_of_another_order_are_damage(tmp_path: Path) -> None:
 
 @KINDS
 @pytest.mark.parametrize("count", [2, 4])
-def test_another_number_of_slots_leaves_nothing(kind: str, count: int, tmp_path: Path) -> None:
+def test_wrong_number_of_slots_leaves_no_file(kind: str, count: int, tmp_path: Path) -> None:
     with pytest.raises(MediaError, match=f"takes 3 slots, not {count}"):
         write_slots(tmp_path / f"a{kind}", drawn(8, count), SlotForm(8, 4, 250_000, 3))
     assert not list(tmp_path.iterdir())

@@ -225,7 +225,7 @@ def test_own_films_keep_their_first_number(tmp_path: Path, suffix: str) -> None:
     assert [frame.time_s for frame in frames] == pytest.approx(np.array(numbers) / 1000, abs=1e-6)
 
 
-def test_a_pace_with_gaps_of_whole_periods_is_even() -> None:
+def test_rate_with_gaps_of_full_periods_is_even() -> None:
     even, uneven = measure_pace([0, 1, 2, 4, 5, 6, 9, 10]), measure_pace(UNEVEN / 1000)
     assert even is not None
     assert uneven is not None

@@ -168,7 +168,7 @@ def test_two_series_in_one_directory_each(tmp_path: Path) -> None:
     {"truncate": True}, {"imagej": True}, {"imagej": True, "truncate": True}, {"compression": "zlib"},
     {"tile": (16, 16)}, {"compression": "lzw", "rowsperstrip": 7}, {"metadata": None},
 ], ids=str)  # fmt: skip
-def test_a_cut_stack_of_any_layout_gives_its_whole_frames(tmp_path: Path, kind: dict[str, Any]) -> None:
+def test_truncated_stack_of_any_layout_gives_its_complete_frames(tmp_path: Path, kind: dict[str, Any]) -> None:
     """Without metadata, tifffile writes the directories but the first behind all pixels."""
     levels = noise(9, 20, 30, 8)
     path = write(tmp_path / "a.tif", levels, **kind)

@@ -53,7 +53,7 @@ def wrong(values: list[Any], film: PanelFilm) -> int:
 
 
 @pytest.mark.slow
-def test_a_panel_is_found_by_what_changes() -> None:
+def test_panel_is_found_by_its_changes() -> None:
     place = heliograph.locate(frames(2), rows=ROWS, columns=COLUMNS)
     assert off(place, small()) < 0.06
     # emitters are discs of 0.55 pitch diameter, hence 0.14 pitches standard deviation
@@ -92,7 +92,7 @@ def test_without_its_rows_and_columns_the_outline_is_found() -> None:
 
 
 @pytest.mark.slow
-def test_a_panel_beside_another_is_found_in_its_region() -> None:
+def test_panel_next_to_another_is_found_in_its_region() -> None:
     left, right = (small(corners=lambda _, x=x: keystone((x, 60.0), 74.0), width=180, seed=x) for x in (45, 133))
     both = [np.where(np.arange(180)[None, :, None] < 88, left.frame(k), right.frame(k)) for k in range(2)]
     for film, region in ((left, (2, 2, 86, 116)), (right, (90, 2, 88, 116))):
@@ -159,7 +159,7 @@ def test_places_are_given_frame_by_frame() -> None:
 
 
 @pytest.mark.slow
-def test_undoing_the_blur_reads_what_blur_has_mixed() -> None:
+def test_equalisation_reads_blurred_leds() -> None:
     """With a blur of 0.55 pitches an LED spreads a fifth of its light to each neighbour."""
     film, shown = small(3.2, spread=0.02), frames(16, 3.2, spread=0.02)
     places = [heliograph.Place(film.corners(k), float(np.hypot(3.2, 0.55 / 4 * 6.0))) for k in range(16)]
@@ -208,7 +208,7 @@ def test_a_panel_of_64_x_64_in_three_colours_is_read() -> None:
 
 
 @pytest.mark.parametrize("seed", [8, 17, 31])
-def test_the_score_tells_right_places_from_wrong_ones(seed: int) -> None:
+def test_score_separates_right_from_wrong_places(seed: int) -> None:
     scene = draw_scene(seed, count=1)
     image = scene.frames[0].mean(axis=2, dtype=np.float32)
     right, (rows, columns) = scene.corners[0], (scene.rows, scene.columns)
@@ -296,7 +296,7 @@ NO_PANELS = {
 
 
 @pytest.mark.parametrize("name", NO_PANELS)
-def test_corners_that_are_no_panel_are_said_in_one_line(name: str) -> None:
+def test_impossible_corners_are_reported_in_one_line(name: str) -> None:
     corners = np.array(NO_PANELS[name], float)
     place = heliograph.Place(corners, 1.5)
     calls: list[Callable[[], object]] = [
@@ -310,6 +310,6 @@ def test_corners_that_are_no_panel_are_said_in_one_line(name: str) -> None:
 
 
 @pytest.mark.parametrize(("call", "says"), DOORS.values(), ids=DOORS)
-def test_wrong_arguments_are_said_in_one_line(call: Callable[[], object], says: str) -> None:
+def test_wrong_arguments_are_reported_in_one_line(call: Callable[[], object], says: str) -> None:
     with pytest.raises(heliograph.HeliographError, match=re.escape(says)):
         call()

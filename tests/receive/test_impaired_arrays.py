@@ -190,6 +190,6 @@ def test_packet_with_a_header_measured_too_narrow_is_decoded_per_led() -> None:
     (96, 41, 4),
 ])  # fmt: skip
 @pytest.mark.slow
-def test_packets_beside_and_behind_a_post_are_read(number: int, seed: int, count: int) -> None:
+def test_packets_next_to_and_behind_a_post_are_read(number: int, seed: int, count: int) -> None:
     _, packets = read(number, 0.1 * count + 0.01, seed=seed)
     assert statuses(packets) == ["ok"] * count

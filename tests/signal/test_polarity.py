@@ -34,7 +34,7 @@ def random_data(half: int, count: int, seed: int) -> np.ndarray[Any, np.dtype[np
 
 @examples(40)
 @given(st.sampled_from([2, 4, 8, 16]), st.integers(1, 30), st.integers(0, 2**32 - 1), st.integers(-9, 9))
-def test_data_come_back_and_polarities_are_what_was_done(half: int, count: int, seed: int, ahead: int) -> None:
+def test_data_and_polarities_are_restored(half: int, count: int, seed: int, ahead: int) -> None:
     data = random_data(half, count, seed)
     d11 = balance(data, ahead)
     assert d11.shape == (count, half, half)

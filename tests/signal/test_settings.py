@@ -48,7 +48,7 @@ def test_refused_in_one_line(name: str, values: Sequence[Any], words: str) -> No
 
 @pytest.mark.parametrize("side", [4, 8, 20, 64])
 @pytest.mark.parametrize("rate", [1 / 3, 0.9])
-def test_whatever_is_accepted_makes_a_format_or_says_what_to_raise(side: int, rate: float) -> None:
+def test_accepted_settings_make_a_format_or_name_the_setting_to_raise(side: int, rate: float) -> None:
     for pairs in [*range(1, 60, 2), 127, 1000, 4093, 4096]:
         settings = SignalSettings(side=side, data_pairs=pairs, rate=RateSettings(high=rate, middle=rate, low=rate))
         try:

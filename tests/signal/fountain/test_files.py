@@ -82,7 +82,7 @@ def test_any_symbols_that_are_as_many_as_the_files_own_are_enough() -> None:
         assert cauchy.decode({n: encoder.symbol(n) for n in chosen}, encoder.count)[: len(data)] == data
 
 
-def test_progress_is_told_from_the_first_symbol_and_passages_are_joined() -> None:
+def test_progress_starts_with_the_first_symbol_and_receptions_are_joined() -> None:
     """Two incomplete receptions from two arrays, with repeated symbols."""
     first, second = sent(PICTURE, range(100)), sent(PICTURE, range(5000, 5095), identity=9)
     files = FileGatherer()
@@ -96,7 +96,7 @@ def test_progress_is_told_from_the_first_symbol_and_passages_are_joined() -> Non
     assert list(files.unfinished()) == []
 
 
-def test_a_false_symbol_with_a_right_crc_is_noticed_and_the_file_gathered_anew() -> None:
+def test_file_restarts_after_a_wrong_symbol_with_a_valid_crc() -> None:
     blocks = sent(PICTURE, range(400))
     false = replace(blocks[0], payload=bytes(len(blocks[0].payload)))
     files = FileGatherer()
@@ -147,7 +147,7 @@ def test_blocks_of_different_sizes_carry_symbols_of_one_file() -> None:
     (SentFile("a", bytes(200), "raptorq"), SignalSettings(side=4, data_pairs=84), "symbols"),
     (SentFile("a", bytes(4 << 20)), SignalSettings(), "too many"),
 ])  # fmt: skip
-def test_what_cannot_be_sent_is_said(file: SentFile, settings: SignalSettings, word: str) -> None:
+def test_unsendable_content_is_reported(file: SentFile, settings: SignalSettings, word: str) -> None:
     with pytest.raises(SettingsError, match=word):
         Transmitter(settings, 0, {"low": [file]})
 
@@ -166,7 +166,7 @@ def small(file: SentFile, packets: range, rate: float = 2 / 3) -> list[AnyFileBl
 
 
 @pytest.mark.parametrize(("rate", "size"), [(1 / 2, 4), (2 / 3, 8), (3 / 4, 10), (9 / 10, 14)])
-def test_small_blocks_bring_a_file_whole_in_any_order_with_losses(rate: float, size: int) -> None:
+def test_small_blocks_complete_a_file_in_any_order_with_losses(rate: float, size: int) -> None:
     file = SentFile("note.txt", random.Random(7).randbytes(500))
     blocks = small(file, range(400 // size), rate)
     random.Random(1).shuffle(blocks)
@@ -175,14 +175,14 @@ def test_small_blocks_bring_a_file_whole_in_any_order_with_losses(rate: float, s
     assert {len(block.payload) for block in blocks if isinstance(block, SymbolBlock)} == {size}
 
 
-def test_small_blocks_tell_what_they_are_of_in_every_second_packet() -> None:
+def test_every_second_packet_describes_the_file_of_small_blocks() -> None:
     file = SentFile("note.txt", bytes(500))
     for first in range(12):
         blocks = small(file, range(first, first + 2))
         assert sum(isinstance(one, FileNotice) for one in blocks) == 1
 
 
-def test_symbols_wait_for_what_they_are_of_and_do_no_harm_to_others() -> None:
+def test_symbols_wait_for_the_description_of_their_file() -> None:
     one, two = (SentFile(name, random.Random(seed).randbytes(200)) for name, seed in (("a", 1), ("b", 2)))
     files = FileGatherer()
     mixed = [block for pair in zip(small(one, range(20)), small(two, range(20)), strict=True) for block in pair]
