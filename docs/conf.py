@@ -35,6 +35,9 @@ html_show_copyright = False
 nitpicky = False
 # names in docstrings stand in single backticks
 default_role = "code"
+# options keep both hyphens; blocks of code name their language
+smartquotes = False
+highlight_language = "none"
 myst_heading_anchors = 3
 myst_enable_extensions = ["dollarmath"]
 # notebooks are stored with their outputs; tests/docs/test_pages.py runs them

@@ -87,3 +87,4 @@ def test_first_page_leads_to_the_recorded_drive(chromium: Browser) -> None:
             page.get_by_role("button", name="Next", exact=True).click()
         expect(page.locator("#tour-title")).to_have_text("5 of 5: What arrived")
         expect(page.locator("#messages")).to_contain_text("red for 12 s")
+        expect(page.locator("#bits .point.open")).to_have_count(1)  # the low layer of the first packet

@@ -90,13 +90,16 @@ export function drawBits(marks: Mark[], { from_s, to_s }: Span, now_s: number | 
   const ticks = Array.from({ length: Math.floor((to_s - from_s) / step) + 1 }, (_, k) => from_s + k * step).map((time_s) =>
     svg("text", { x: x(time_s), y: height - 17, class: "tick", "text-anchor": "middle" }, `${Number(time_s.toFixed(2))}`));
   const points = LAYERS.flatMap((layer) => {
-    const known = marks.filter((mark) => mark.layers[layer].wrong !== null);
+    const measured = marks.filter((mark) => mark.layers[layer].wrong !== undefined);
+    const known = measured.filter((mark) => mark.layers[layer].wrong !== null);
     return [
       ...[...new Set(known.map((mark) => mark.id))].map((id) => svg("polyline", { class: `curve ${layer}`,
         points: known.filter((mark) => mark.id === id).map((mark) => `${x(mark.time_s).toFixed(1)},${y(mark.layers[layer].wrong ?? 0).toFixed(1)}`).join(" ") })),
-      ...marks.filter((mark) => mark.layers[layer].all > 0).map((mark) => svg("path", { d: SHAPES[layer],
-        class: mark.layers[layer].wrong === null ? `point open ${layer}` : `point ${layer}`,
-        transform: `translate(${x(mark.time_s).toFixed(1)} ${(mark.layers[layer].wrong === null ? 7 : y(mark.layers[layer].wrong)).toFixed(1)})` })),
+      ...measured.filter((mark) => mark.layers[layer].all > 0).map((mark) => {
+        const wrong = mark.layers[layer].wrong ?? null;
+        return svg("path", { d: SHAPES[layer], class: wrong === null ? `point open ${layer}` : `point ${layer}`,
+          transform: `translate(${x(mark.time_s).toFixed(1)} ${(wrong === null ? 7 : y(wrong)).toFixed(1)})` });
+      }),
     ];
   });
   const cursor = now_s === null ? [] : [svg("line", { x1: x(now_s), x2: x(now_s), y1: 2, y2: height - bottom, class: "now" })];
@@ -213,11 +216,11 @@ const STAGE_WORDS: Record<string, string> = {
 
 function stages(model: Model): void {
   const state = model.state;
-  if (state === null) {
-    put("stages", make("p", { class: "dim" }, "Nothing yet."));
+  const times = Object.entries(state?.stages ?? {}).filter(([name]) => name !== "wait").sort((a, b) => b[1] - a[1]);
+  if (state === null || times.length === 0) {
+    put("stages", make("p", { class: "dim" }, "No times."));
     return;
   }
-  const times = Object.entries(state.stages).filter(([name]) => name !== "wait").sort((a, b) => b[1] - a[1]);
   const total = times.reduce((sum, [, seconds]) => sum + seconds, 0);
   const rows = times.map(([name, seconds]) => make("tr", {}, make("th", { scope: "row" }, STAGE_WORDS[name] ?? name),
     make("td", {}, make("progress", { max: Math.max(total, 1e-9), value: seconds, "aria-label": STAGE_WORDS[name] ?? name })),

@@ -13,8 +13,8 @@ const EDGE = 12;
 
 export interface Moment { about: About; picture: Blob; rows: number }
 
-/** Outcome of a packet: decoded and all codewords, and the part of the bits that was wrong, null if unknown. */
-export interface Mark { id: number; time_s: number; distance_m: number; layers: Record<Layer, { ok: number; all: number; wrong: number | null }> }
+/** Outcome of a packet: decoded and all codewords, and the part of the bits that was wrong: null if no codeword was decoded, undefined without soft values. */
+export interface Mark { id: number; time_s: number; distance_m: number; layers: Record<Layer, { ok: number; all: number; wrong: number | null | undefined }> }
 
 /** Times of a run, from the first frame to the last, as far as known. */
 export interface Span { from_s: number; to_s: number }
@@ -44,8 +44,9 @@ export class Timeline {
     const soft = this.light?.id === row.id && this.light.time_s === row.time_s ? this.light.layers : undefined;
     const layers = LAYERS.map((layer) => {
       const words = row.layers[layer] ?? [];
-      const { known, wrong } = soft?.[layer] ?? { known: 0, wrong: 0 };
-      return [layer, { ok: words.filter((word) => word.status === "ok").length, all: words.length, wrong: known === 0 ? null : wrong / known }];
+      const bits = soft?.[layer];
+      const wrong = bits === undefined ? undefined : bits.known === 0 ? null : bits.wrong / bits.known;
+      return [layer, { ok: words.filter((word) => word.status === "ok").length, all: words.length, wrong }];
     });
     this.marks.push({ id: row.id, time_s: row.time_s, distance_m: row.distance_m, layers: Object.fromEntries(layers) as Mark["layers"] });
   }

@@ -13,7 +13,7 @@ const STEPS: Step[] = [
     text: "Far away the LEDs melt into each other, so fine structures are lost first. As the car approaches, the enlarged array becomes sharp.",
     moment: ({ moments }) => moments[Math.floor(moments.length * 0.6)] },
   { title: "Three layers", shows: "ticks",
-    text: "Urgent data use coarse structures, which can be read from afar: the high layer. The middle and low layers use finer ones and arrive nearer to the array.",
+    text: "Urgent data use coarse structures, which can be read from afar: the high layer. The middle and low layers use finer ones: their first packets may fail, and a weaker receiver reads them only near the array.",
     moment: ({ moments }) => moments.at(-1) },
   { title: "How sure is a bit?", shows: "sure-title",
     text: "Before error correction each bit has a soft value. Two separate hills are clear bits, one hill is a guess; the turbo code corrects the guesses.",
