@@ -44,12 +44,14 @@ def test_simulate_keeps_the_film_so_far(tmp_path: Path, by: signal.Signals) -> N
 
 
 def test_receive_shows_and_keeps_the_results_so_far(drive: Path, tmp_path: Path) -> None:
-    run = interrupted_at(tmp_path, "receive", drive, "--output", "out", "--json", title="receiving", step=210)
+    line = ("receive", drive, "--output", "out", "--json", "--replay", "replay.html")
+    run = interrupted_at(tmp_path, *line, title="receiving", step=210)
     assert "interrupted after 210 frames; the results so far are above" in failed(run, INTERRUPTED)
     report, out = json.loads(run.stdout), tmp_path / "out"
     assert report["error"] == json.loads((out / "summary.json").read_text())["error"] == "interrupted"
     assert (report["frames"], report["arrays"][0]["packets"] >= 1) == (210, True)
     assert (names(out), (out / "array-0-high-0.bin").read_bytes()) == (RESULTS, b"first")
+    assert "</html>" in (tmp_path / "replay.html").read_text()[-100:]
     assert len((out / "packets.jsonl").read_text().splitlines()) == report["arrays"][0]["packets"]
 
 

@@ -76,7 +76,7 @@ class Repeated(KeptFilm):
 def test_broken_film_keeps_the_results_so_far(right: KeptFilm) -> None:
     film = Broken(right.frames, count=120)
     findings = probed(film)
-    assert findings.broken is film.error
+    assert findings.broken == "the film ends in the middle"
     assert findings.read
     assert findings.times.count == 120
 
@@ -87,7 +87,7 @@ def test_ctrl_c_during_the_analysis_keeps_the_rest(right: KeptFilm, monkeypatch:
 
     monkeypatch.setattr("heliograph.probe.film.light_rate", interrupt)
     findings = probed(right)
-    assert isinstance(findings.broken, KeyboardInterrupt)
+    assert findings.broken == "interrupted"
     assert findings.read
     assert "codewords read: high" in "\n".join(lines(findings))
 

@@ -3,6 +3,7 @@
 import contextlib
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from heliograph.base.errors import HeliographError, counted
 from heliograph.base.files import clear_write_errors
@@ -35,10 +36,26 @@ def demo(
         output.mkdir(parents=True, exist_ok=True)
     console.say(f"{film}: a film of {frames_of(link)} frames, about {max(1, round(film_bytes(link) / 1e6))} MB")
     old_time = film.stat().st_mtime_ns if film.exists() else None
+    shown = dict[str, Any]()
+
+    def show(report: dict[str, Any]) -> None:
+        shown.update(report)
+        for array in report["arrays"]:
+            layers = ", ".join(
+                f"{name} {tally['ok']}/{tally['ok'] + tally['failed']}" for name, tally in array["layers"].items()
+            )
+            packets = f"array {array['id']}: {counted(array['packets'], 'packet')}"
+            console.say(f"{link.receive.receiver}, {packets}; codewords read: {layers}")
+        console.say(f"{counted(report['frames'], 'frame')} at {report['frames_per_second']:.0f} frames/s")
+        console.say(f"open {output / 'report.html'}, and {output / 'replay.html'} to look at every moment")
+
     try:
         receive = partial(receive_and_record, output / "replay.html")
-        demonstration = run(output, link, scene.seed, recordings, console.progress, receive)
+        run(output, link, scene.seed, recordings, console.progress, show, receive)
     except KeyboardInterrupt:
+        if shown:
+            frames = counted(shown["frames"], "frame")
+            console.exit_interrupted(f"interrupted after {frames}; {output} holds the results so far")
         is_written = film.exists() and film.stat().st_mtime_ns != old_time
         console.exit_interrupted(f"interrupted; {film} holds the frames so far" if is_written else "interrupted")
     except HeliographError:
@@ -46,17 +63,3 @@ def demo(
             with contextlib.suppress(OSError):
                 output.rmdir()  # fails unless empty
         raise
-    report = demonstration.counts
-    for array in report["arrays"]:
-        layers = ", ".join(
-            f"{name} {tally['ok']}/{tally['ok'] + tally['failed']}" for name, tally in array["layers"].items()
-        )
-        packets = f"array {array['id']}: {counted(array['packets'], 'packet')}"
-        console.say(f"{link.receive.receiver}, {packets}; codewords read: {layers}")
-    frames = counted(report["frames"], "frame")
-    console.say(f"{frames} at {report['frames_per_second']:.0f} frames/s")
-    console.say(f"open {output / 'report.html'}, and {output / 'replay.html'} to look at every moment")
-    if isinstance(demonstration.ending, KeyboardInterrupt):
-        console.exit_interrupted(f"interrupted after {frames}; {output} holds the results so far")
-    if demonstration.ending is not None:
-        raise demonstration.ending

@@ -65,11 +65,9 @@ def probe(
             console.say(f"page {page}")
     elif not as_json:
         console.note("--output DIR writes probe.html, with pictures")
-    if isinstance(findings.broken, KeyboardInterrupt):
+    if findings.broken == "interrupted":
         frame_count = counted(findings.times.count, "frame")
         console.exit_interrupted(f"interrupted after {frame_count}; the findings so far are above")
-    if findings.broken is not None:
-        raise findings.broken
-    if findings.error:
-        raise HeliographError(findings.error)
+    if findings.broken or findings.error:
+        raise HeliographError(findings.broken or findings.error)
     sys.exit(0 if findings.read else console.NO_ARRAY)

@@ -18,7 +18,7 @@ import cv2
 import typer
 
 from heliograph import __version__
-from heliograph.base.errors import HeliographError, MediaError, counted
+from heliograph.base.errors import HeliographError, MediaError, counted, error_line
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
 from heliograph.cli.files import FileOutput, join
@@ -53,18 +53,16 @@ Row = dict[str, Any]  # result of a film
 
 @dataclass(slots=True)
 class Outcome:
-    """Results of a reception."""
+    """Results of a reception, up to an error."""
 
-    report: dict[str, Any]
+    report: Row
     reception: ReceptionCounter
     monitor: FilmMonitor
     files: FileOutput
     # Names of the written messages
     messages: list[str]
-    # Reason of an early end
-    error: BaseException | None
     # Diagnosis of a missing array
-    findings: Findings | None
+    findings: Findings | None = None
 
 
 @options.command
@@ -110,7 +108,7 @@ def receive(
         sys.exit(console.NO_ARRAY)
 
 
-def _receive_single(film: Path, request: ReceiveOptions, truth_path: Path | None) -> dict[str, Any]:
+def _receive_single(film: Path, request: ReceiveOptions, truth_path: Path | None) -> Row:
     """Receive a film or live camera; show the results so far after an early end, and diagnose a missing array."""
     if truth_path and is_camera(film):
         raise MediaError("a live camera has no truth: leave out --truth")
@@ -118,29 +116,29 @@ def _receive_single(film: Path, request: ReceiveOptions, truth_path: Path | None
         raise MediaError("the truth describes complete frames: leave out --crop, --bin and --rotate, or --truth")
     truth = open_truth(truth_path) if truth_path else None
     cv2.setNumThreads(1)  # a second thread is not faster for small images
-    with open_film(film, **request.film.keywords(), **request.live.keywords(film)) as source:
-        outcome = receive_source(source, str(film), request, truth)
-    if request.as_json and not request.events.follow:
-        console.say_json(outcome.report)
-    elif not request.events.follow:
-        _show(outcome, request.results.output)
-        _show_end(outcome, source, film)
-    if isinstance(outcome.error, KeyboardInterrupt):
-        frames = counted(outcome.reception.frames, "frame")
+    report: Row = {"film": str(film)}
+    try:
+        with open_film(film, **request.film.keywords(), **request.live.keywords(film)) as source:
+            receive_source(source, report, request, truth)
+    except KeyboardInterrupt:
+        if "frames" not in report:  # no reception has begun
+            raise
+        frames = counted(report["frames"], "frame")
         console.exit_interrupted(f"interrupted after {frames}; the results so far are above")
-    if outcome.error is not None:
-        raise outcome.error
-    return outcome.report
+    return report
 
 
 def receive_source(
     source: FilmReader,
-    name: str,
+    report: Row,
     options: ReceiveOptions,
     truth: TruthFile | None = None,
     origin: Mapping[str, Any] | None = None,
-) -> Outcome:
-    """Receive a film or live camera; a film with an origin is one of many, and is received silently."""
+) -> None:
+    """Receive a film or live camera; add the results to the report and show them, also before an error is raised.
+
+    A film with an origin is one of many, and is received silently.
+    """
     settings, is_batch = options.settings.load(), origin is not None
     is_quiet = is_batch or options.is_quiet
     signal, departure = options.settings.signal_of(source)
@@ -156,72 +154,81 @@ def receive_source(
     reception, files = ReceptionCounter(truth), FileOutput(options.files_folder, is_quiet=is_quiet)
     files.begin(reception.files)
 
-    def receive_packets() -> BaseException | None:
-        journal = Journal(settings.receive.calibration, tell)
+    def receive_packets() -> None:
+        journal, start_s = Journal(settings.receive.calibration, tell), time.perf_counter()
 
         def observe(event: Any) -> None:
             journal.observe(event)
             monitor.observe(event)
 
         try:
-            for packet, messages in receive_and_count(monitor, signal, link, reception, observe, advance):
-                folder.log(packet_row(packet, reception.confirmed))
-                journal.read(packet, messages, reception.progress)
-                monitor.add_packet(packet)
-                for message in messages:
-                    folder.write_message(message)
-                    if not is_quiet:
-                        console.say(_message_text(message))
-                for file in reception.progress:
-                    files.update(file)
-        except (KeyboardInterrupt, HeliographError, OSError, MemoryError) as error:
-            return error
-        return None
+            with console.progress("receiving", source.frame_count, is_hidden=is_batch) as advance:
+                for packet, messages in receive_and_count(monitor, signal, link, reception, observe, advance):
+                    folder.log(packet_row(packet, reception.confirmed))
+                    journal.read(packet, messages, reception.progress)
+                    monitor.add_packet(packet)
+                    for message in messages:
+                        folder.write_message(message)
+                        if not is_quiet:
+                            console.say(_message_text(message))
+                    for file in reception.progress:
+                        files.update(file)
+        finally:
+            report.update(receiver=settings.receive.receiver, **reception.report(time.perf_counter() - start_s))
+            batch = {"messages": folder.messages, **({"departure": departure} if departure else {})}
+            report.update(batch if is_batch else {"reading_seconds": source.read_s})
 
-    with (
-        open_results(options.results.output) as folder,
-        open_logs(options.results, source, signal, settings.receive, reception) as logs,
-        open_events(options.events, logs) as tell,
-        monitored(source, options.live, signal, link.receive, logs) as monitor,
-    ):
-        start_s = time.perf_counter()
-        with console.progress("receiving", source.frame_count, is_hidden=is_batch) as advance:
-            error = receive_packets()
-        report = {
-            "film": name,
-            "receiver": settings.receive.receiver,
-            **reception.report(time.perf_counter() - start_s),
-        }
-        if is_batch:
-            report |= {"messages": folder.messages, **({"departure": departure} if departure else {})}
-        else:
-            report["reading_seconds"] = source.read_s
-        findings = None
-        # the receiver does not support the film
-        is_refused = isinstance(error, HeliographError) and not isinstance(error, MediaError)
-        if monitor.live is None and not report["arrays"] and (is_refused or error is None):
-            # sample sections of a long film
-            most = source.frame_count or 8 * MOST_FRAMES
-            every = max(1, most // (8 * MOST_FRAMES))
-            with console.progress("asking why", most, is_hidden=is_batch) as advance:
-                findings = probe_film(source, signal, settings.receive, advance, reading=False, every=every, most=most)
-            report["probe"] = as_mapping(findings)
-            if isinstance(findings.broken, KeyboardInterrupt):
-                error = findings.broken
-            elif findings.screen is not None and is_refused and not is_batch:
-                # the receiver for arrays refuses the frame rate of films of screens
-                error = HeliographError(f"{name} shows a screen: {findings.screen.advice[0]}")
-        if error is not None:
-            report["error"] = console.error_line(error)
+    def diagnose(*, is_refused: bool) -> None:
+        if monitor.live is not None or report["arrays"]:
+            return
+        # sample sections of a long film
+        most = source.frame_count or 8 * MOST_FRAMES
+        every = max(1, most // (8 * MOST_FRAMES))
+        with console.progress("asking why", most, is_hidden=is_batch) as advance:
+            findings = probe_film(source, signal, settings.receive, advance, reading=False, every=every, most=most)
+        outcome.findings, report["probe"] = findings, as_mapping(findings)
+        if findings.broken == "interrupted":
+            raise KeyboardInterrupt
+        if findings.screen is not None and is_refused and not is_batch:
+            # the receiver for arrays refuses the frame rate of films of screens
+            raise HeliographError(f"{report['film']} shows a screen: {findings.screen.advice[0]}")
+
+    def finish() -> None:
         try:
-            report |= monitor.finish()
+            report.update(monitor.finish())
             folder.finish(report if origin is None else {**report, "made_of": origin})
             files.finish(reception.files)
-        except MediaError as write_error:
-            error = write_error
-            report["error"] = console.error_line(error)
-        tell({"event": "end", **report})
-    return Outcome(report, reception, monitor, files, folder.messages, error, findings)
+        except (KeyboardInterrupt, MediaError) as error:
+            report["error"] = error_line(error)
+            raise
+        finally:
+            tell({"event": "end", **report})
+            stack.close()  # an error would discard the recordings
+            if not is_quiet:
+                _show(outcome, options.results.output)
+                _show_end(outcome, source)
+            elif not (is_batch or options.events.follow):
+                console.say_json(report)
+
+    with contextlib.ExitStack() as stack:
+        folder = stack.enter_context(open_results(options.results.output))
+        logs = stack.enter_context(open_logs(options.results, source, signal, settings.receive, reception))
+        tell = stack.enter_context(open_events(options.events, logs))
+        monitor = stack.enter_context(monitored(source, options.live, signal, link.receive, logs))
+        outcome = Outcome(report, reception, monitor, files, folder.messages)
+        try:
+            try:
+                receive_packets()
+            except HeliographError as error:
+                if not isinstance(error, MediaError):  # the receiver does not support the film
+                    diagnose(is_refused=True)
+                raise
+            diagnose(is_refused=False)
+        except (KeyboardInterrupt, HeliographError, OSError, MemoryError) as error:
+            report["error"] = error_line(error)
+            finish()
+            raise
+        finish()
 
 
 def _adapted(settings: LinkSettings, source: FilmReader) -> LinkSettings:
@@ -343,7 +350,7 @@ def _show(outcome: Outcome, output: Path | None) -> None:
         _show_errors(reception.errors)
 
 
-def _show_end(outcome: Outcome, source: FilmReader, film: Path) -> None:
+def _show_end(outcome: Outcome, source: FilmReader) -> None:
     """Print incomplete files, the diagnosis of a missing array, and notes on the source."""
     reception = outcome.reception
     for line in outcome.files.incomplete_lines(reception.files, reception.frames / source.rate_hz):
@@ -351,7 +358,8 @@ def _show_end(outcome: Outcome, source: FilmReader, film: Path) -> None:
     if outcome.findings is not None:
         for line in in_short(outcome.findings):
             console.say_prose(line)
-        console.note(f"'heliograph probe {console.argument(film)} --output DIR' gives details, with pictures")
+        film = console.argument(Path(outcome.report["film"]))
+        console.note(f"'heliograph probe {film} --output DIR' gives details, with pictures")
     if outcome.monitor.live is not None:
         outcome.monitor.show(has_array=bool(outcome.report["arrays"]))
 
@@ -507,15 +515,14 @@ def run_many(paths: Sequence[Path], options: ReceiveOptions, crew_options: Worke
 
 def receive_one(work: FilmWork) -> Row:
     """Receive a film; errors become part of the row."""
+    row: Row = {"film": work.film}
     cv2.setNumThreads(1)
     try:
         with open_film(work.path, **work.options.film.keywords()) as source:
-            outcome = receive_source(source, work.film, work.options, origin=work.made_of())
+            receive_source(source, row, work.options, origin=work.made_of())
     except (HeliographError, OSError, MemoryError) as error:
-        return {"film": work.film, "error": console.error_line(error)}
-    if isinstance(outcome.error, KeyboardInterrupt):
-        raise outcome.error
-    return outcome.report
+        row["error"] = error_line(error)
+    return row
 
 
 def _receive_all(works: Sequence[FilmWork], crew: Workers) -> Iterator[Row]:

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from heliograph.base.config import from_mapping
-from heliograph.base.errors import HeliographError
 from heliograph.base.files import write_whole
 from heliograph.base.frames import Frame
 from heliograph.channel.background import draw_street
@@ -451,25 +450,19 @@ def film_bytes(settings: LinkSettings) -> int:
     return round(frames_of(settings) * camera.width * camera.height * 0.01)
 
 
-@dataclass(frozen=True)
-class Demonstration:
-    """Result of the demonstration."""
-
-    # Counts of `ReceptionCounter.report`
-    counts: dict[str, Any]
-    # Error or interruption of the reception; the page shows the results before
-    ending: BaseException | None = None
-
-
 def run(
     folder: Path,
     settings: LinkSettings,
     seed: int,
     recordings: Recordings,
     bar: Bar,
+    show: Callable[[dict[str, Any]], object],
     receive: Callable[..., Iterator[tuple[Packet, list[Message]]]] = receive_and_count,
-) -> Demonstration:
-    """Simulate, receive and report; `receive` receives the film with the last receiver, as `receive_and_count`."""
+) -> None:
+    """Simulate, receive and report; show the counts of `ReceptionCounter.report`, also before an error is raised.
+
+    `receive` receives the film with the last receiver, as `receive_and_count`.
+    """
     film = folder / "drive.mp4"
     with bar("simulating", frames_of(settings)) as advance:
         # 34 MB for the drive of the paper; crf 12 needs 338 MB for as many high and three more other codewords
@@ -478,36 +471,32 @@ def run(
     recorder = DriveRecorder([int(k) for k in np.linspace(0.02, 0.98, 8) * count])
     reception = ReceptionCounter(truth)
     messages: list[Message] = []
-    began = time.perf_counter()
-    ending: BaseException | None = None
     receiver, (best, _) = settings.receive.receiver, choose_receiver(settings.signal, settings.channel.camera.fps)
     is_compared = receiver == "plain" and best == "soft"
     first = receive_and_count if is_compared else receive
+    receptions, began = {receiver: reception}, time.perf_counter()
     try:
-        with bar("receiving", count) as advance, open_film(film) as source:
-            for packet, complete in first(source, settings.signal, settings, reception, recorder, advance):
-                messages += complete
-                recorder.add_packet(packet, complete)
-    except (HeliographError, KeyboardInterrupt) as error:
-        ending = error
-    counts = reception.report(time.perf_counter() - began)
-    receptions = {receiver: reception}
-    if ending is None and is_compared:
-        # the same film by the other receiver
-        other = replace(settings, receive=replace(settings.receive, receiver=best, plain=PlainSettings()))
-        receptions[best] = ReceptionCounter(truth)
         try:
+            with bar("receiving", count) as advance, open_film(film) as source:
+                for packet, complete in first(source, settings.signal, settings, reception, recorder, advance):
+                    messages += complete
+                    recorder.add_packet(packet, complete)
+        finally:
+            counts = reception.report(time.perf_counter() - began)
+        if is_compared:
+            # the same film by the other receiver
+            other = replace(settings, receive=replace(settings.receive, receiver=best, plain=PlainSettings()))
+            receptions[best] = ReceptionCounter(truth)
             with bar(f"receiving by {best}", count) as advance, open_film(film) as source:
                 deque(receive(source, settings.signal, other, receptions[best], progress=advance), maxlen=0)
-        except KeyboardInterrupt as error:
-            ending = error
-    for message in messages:
-        write_whole(folder / message_name(message), message.data)
-    moving = animated(recorder.images)
-    if moving:
-        write_whole(folder / "drive.webp", moving)
-    write_page(folder / "report.html", truth, recorder, moving, receptions, counts, messages)
-    return Demonstration(counts, ending)
+    finally:
+        for message in messages:
+            write_whole(folder / message_name(message), message.data)
+        moving = animated(recorder.images)
+        if moving:
+            write_whole(folder / "drive.webp", moving)
+        write_page(folder / "report.html", truth, recorder, moving, receptions, counts, messages)
+        show(counts)
 
 
 def message_name(message: Message) -> str:

@@ -61,7 +61,12 @@ def write_film(
         metadata={**signal_note(settings.signal), TRUTH_TAG: film_id},
         **codec,
     )
-    interrupted: KeyboardInterrupt | None = None
+
+    def finish() -> None:
+        if film.frames_written:
+            with truth.finishing():
+                film.finish()
+
     with contextlib.ExitStack() as undo:
         undo.callback(film.abort)  # no effect on a finished film
         truth = TruthWriter(truth_path(path), settings, messages, seed, film_id)
@@ -71,13 +76,10 @@ def write_film(
                 film.write(frame)
                 truth.add(row)
                 progress(film.frames_written)
-        except KeyboardInterrupt as error:
-            interrupted = error
-        if film.frames_written:
-            with truth.finishing():
-                film.finish()
-    if interrupted is not None:
-        raise interrupted
+        except KeyboardInterrupt:
+            finish()
+            raise
+        finish()
     if not film.frames_written:
         raise MediaError("the film has no frames: the drive is shorter than an exposure; raise channel.duration_s")
     return film.frames_written
@@ -98,16 +100,14 @@ def sent_s(settings: LinkSettings) -> float:
 def read_packets(film: FrameSource, signal: SignalSettings, receiver: Receiver) -> Iterator[Packet]:
     """Yield the packets of a film as soon as they are decoded; drop results that are no packet (`is_packet`)."""
     frames = 0
-    broken: MediaError | None = None
     try:
         for frame in film:
             frames += 1
             yield from filter(is_packet, receiver.push(frame))
-    except MediaError as error:
-        broken = error
+    except MediaError:
+        yield from filter(is_packet, receiver.finish())
+        raise
     yield from filter(is_packet, receiver.finish())
-    if broken is not None:
-        raise broken
     if frames < signal.packet_patterns:
         length = counted(frames, "frame")
         remedy = "record longer" if frames > 1 else "give a film, a stack, or the folder of all its pictures"

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import MediaError, error_line
 from heliograph.base.frames import Frame
 from heliograph.link.budget import reaches
 from heliograph.link.film import FrameProgress, FrameSource, silent
@@ -82,7 +82,7 @@ class Findings:
     error
         Receiver error; empty for no error.
     broken
-        Film error; None for no error.
+        Film error, or "interrupted" after Ctrl-C; empty for no error.
     stretch
         Frames of the close analysis; None if the film has too few.
     """
@@ -100,7 +100,7 @@ class Findings:
     regions_in_all: int
     causes: tuple[Cause, ...]
     error: str
-    broken: BaseException | None
+    broken: str
     stretch: Stretch | None
 
     @property
@@ -179,7 +179,7 @@ def probe_film(
     level_watch, noise_watch = LevelWatch(film.frame_count), NoiseWatch(film.frame_count)
     array_watch = ArrayWatch(signal, settings if reading else None)
     last: Frame | None = None
-    broken: BaseException | None = None
+    broken = ""
     try:
         for count, frame in enumerate(islice(film, most), 1):
             last, repeated = frame, frame_watch.add(frame)
@@ -190,9 +190,11 @@ def probe_film(
             array_watch.push(frame)
             progress(count)
     except (MediaError, MemoryError, KeyboardInterrupt) as error:
-        broken = error
+        if last is None:
+            raise
+        broken = error_line(error)
     if last is None:
-        raise broken or MediaError(f"{film.path} holds no frames: record it again")
+        raise MediaError(f"{film.path} holds no frames: record it again")
     array_watch.finish()
     times, levels, stretch = frame_watch.times(), level_watch.levels(), stretches.best()
     noise, arrays = noise_watch.noise(levels.ceiling), array_watch.reports(last.full_scale)
@@ -216,8 +218,8 @@ def probe_film(
                 if identity is not None and report.array is not None:
                     arrays[identity] = report.array
                 reports.append(report)
-        except (MemoryError, KeyboardInterrupt) as interruption:
-            broken = interruption
+        except (MemoryError, KeyboardInterrupt) as error:
+            broken = error_line(error)
     is_blank = stretch is not None and not reports and not arrays
     is_still = is_blank and not is_screen
     causes = diagnose(FILM, FilmMeasures(times, levels, setup, array_watch.error, _best_rate(reports), is_still))

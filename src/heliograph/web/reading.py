@@ -225,8 +225,8 @@ def _causes(frames: list[Frame], settings: LinkSettings, omitted: tuple[str, ...
     signal, receiver = settings.signal, settings.receive
     try:
         findings = probe_film(film, signal, receiver, reading=False, most=PROBE_FRAMES, trials=False)
-        if findings.broken is not None:
-            raise findings.broken
+        if findings.broken:  # frames in memory have no other error
+            raise MemoryError(findings.broken)
         lines = [line for line in in_sentences(findings) if not line.startswith(omitted)]
     except HeliographError as error:
         lines = [str(error)]
