@@ -19,22 +19,6 @@ class MediaError(HeliographError, OSError):
     """A film or data file is missing, damaged, in an unknown format, or cannot be written."""
 
 
-def error_text(error: BaseException) -> str:
-    """Return the message of an error for the user."""
-    if isinstance(error, KeyboardInterrupt):
-        return "interrupted"
-    if isinstance(error, MemoryError):
-        return "not enough memory; make the film shorter or the frames smaller"
-    if isinstance(error, OSError) and not isinstance(error, HeliographError):
-        return f"{error.filename or 'input or output'}: {error.strerror or error}"
-    return str(error)
-
-
-def error_line(error: BaseException) -> str:
-    """Return the message of an error without line breaks, for reports."""
-    return " ".join(error_text(error).split())
-
-
 def printable(text: str) -> str:
     r"""Escape characters that a terminal or a UTF-8 file cannot show; an invalid UTF-8 byte becomes ``\xe9``."""
     return text if text.isprintable() else "".join(map(_escape, text))

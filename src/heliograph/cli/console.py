@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from heliograph.base.errors import printable
+from heliograph.base.errors import HeliographError, printable
 
 INTERRUPTED = 130  # exit status after Ctrl-C
 NO_ARRAY = 3  # exit status of a complete reception that found no array
@@ -68,6 +68,22 @@ def complain(text: str) -> None:
     if len(line) > 600:  # the problem stands at the beginning, the remedy at the end
         line = f"{line[:300]} ... {line[-300:]}"
     sys.stderr.write(f"heliograph: {line}\n")
+
+
+def error_text(error: BaseException) -> str:
+    """Return the message of an error for the user."""
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted"
+    if isinstance(error, MemoryError):
+        return "not enough memory; make the film shorter or the frames smaller"
+    if isinstance(error, OSError) and not isinstance(error, HeliographError):
+        return f"{error.filename or 'input or output'}: {error.strerror or error}"
+    return str(error)
+
+
+def error_line(error: BaseException) -> str:
+    """Return the message of an error without line breaks, for reports."""
+    return " ".join(error_text(error).split())
 
 
 def exit_interrupted(text: str) -> NoReturn:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from heliograph import __version__
-from heliograph.base.errors import HeliographError, error_text
+from heliograph.base.errors import HeliographError
 from heliograph.base.registry import load_parts
 from heliograph.cli import console
 
@@ -120,7 +120,7 @@ def run() -> None:
     except BrokenPipeError:
         sys.stderr.close()
     except (HeliographError, MemoryError, OSError) as error:
-        console.complain(error_text(error))
+        console.complain(console.error_text(error))
     if status == console.INTERRUPTED:  # also returned by Typer after Ctrl-C
         console.complain("interrupted")
     sys.exit(status)

@@ -18,7 +18,7 @@ import cv2
 import typer
 
 from heliograph import __version__
-from heliograph.base.errors import HeliographError, MediaError, counted, error_line
+from heliograph.base.errors import HeliographError, MediaError, counted
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
 from heliograph.cli.files import FileOutput, join
@@ -199,7 +199,7 @@ def receive_source(
             folder.finish(report if origin is None else {**report, "made_of": origin})
             files.finish(reception.files)
         except (KeyboardInterrupt, MediaError) as error:
-            report["error"] = error_line(error)
+            report["error"] = console.error_line(error)
             raise
         finally:
             tell({"event": "end", **report})
@@ -225,7 +225,7 @@ def receive_source(
                 raise
             diagnose(is_refused=False)
         except (KeyboardInterrupt, HeliographError, OSError, MemoryError) as error:
-            report["error"] = error_line(error)
+            report["error"] = console.error_line(error)
             finish()
             raise
         finish()
@@ -521,7 +521,7 @@ def receive_one(work: FilmWork) -> Row:
         with open_film(work.path, **work.options.film.keywords()) as source:
             receive_source(source, row, work.options, origin=work.made_of())
     except (HeliographError, OSError, MemoryError) as error:
-        row["error"] = error_line(error)
+        row["error"] = console.error_line(error)
     return row
 
 

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.base.errors import MediaError, error_line
+from heliograph.base.errors import MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.budget import reaches
 from heliograph.link.film import FrameProgress, FrameSource, silent
@@ -128,6 +128,11 @@ class Findings:
         return list(dict.fromkeys(line for cause in causes for line in cause.advice))
 
 
+def _ending(error: BaseException) -> str:
+    reason = str(error) or "not enough memory: probe fewer or smaller frames"
+    return "interrupted" if isinstance(error, KeyboardInterrupt) else reason
+
+
 def _best_rate(reports: Sequence[RegionReport]) -> LightRate | None:
     return max((report.rate for report in reports if report.rate), key=lambda rate: rate.explained, default=None)
 
@@ -192,7 +197,7 @@ def probe_film(
     except (MediaError, MemoryError, KeyboardInterrupt) as error:
         if last is None:
             raise
-        broken = error_line(error)
+        broken = _ending(error)
     if last is None:
         raise MediaError(f"{film.path} holds no frames: record it again")
     array_watch.finish()
@@ -219,7 +224,7 @@ def probe_film(
                     arrays[identity] = report.array
                 reports.append(report)
         except (MemoryError, KeyboardInterrupt) as error:
-            broken = error_line(error)
+            broken = _ending(error)
     is_blank = stretch is not None and not reports and not arrays
     is_still = is_blank and not is_screen
     causes = diagnose(FILM, FilmMeasures(times, levels, setup, array_watch.error, _best_rate(reports), is_still))
