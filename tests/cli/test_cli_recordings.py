@@ -104,7 +104,7 @@ def test_results_replace_those_of_an_earlier_film(shots: Path, tmp_path: Path, c
     assert "error" not in report
 
 
-def test_the_current_folder_is_a_film(paths: Paths, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_current_folder_is_a_film(paths: Paths, tmp_path: Path, call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(paths["folder"][0])
     _, got = read(call, Path(), tmp_path / "got", "--fps", "1000")
     assert got == {"array-0-high-0.bin": HIGH}
