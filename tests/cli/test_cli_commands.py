@@ -165,7 +165,8 @@ def test_transmit_writes_files_for_drivers(tmp_path: Path, call: Call) -> None:
 
 
 def test_transmit_writes_a_film_for_a_screen(tmp_path: Path, call: Call) -> None:
-    succeeded(call("transmit", "a.mkv", "--packets", "1", "--preset", "two-arrays"))
+    said = succeeded(call("transmit", "a.mkv", "--packets", "1", "--preset", "two-arrays"))
+    assert said.startswith("Caution: on a display this film flashes")
     with open_film(tmp_path / "a.mkv") as film:
         frames = [frame.pixels for frame in film]
     assert (len(frames), frames[0].shape) == (100, (256, 256))

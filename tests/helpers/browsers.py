@@ -52,6 +52,14 @@ async ([refreshes, size]) => {
 """
 """Refresh the display and keep changed images of the canvas."""
 
+SMALL_TARGETS = """
+    () => [...document.querySelectorAll("button, summary, select, input")]
+      .map((target) => [target.outerHTML.slice(0, 60), target.getBoundingClientRect()])
+      .filter(([_, box]) => box.width > 0 && (box.width < 24 || box.height < 24))
+      .map(([text]) => text)
+"""
+"""Controls below 24 px (WCAG 2.2, 2.5.8)."""
+
 
 @contextmanager
 def browser(kind: BrowserType, *switches: str) -> Iterator[Browser]:

@@ -66,6 +66,13 @@ def whole_packets(frames: Sequence[Frame], late: Floats, first_s: float, packet_
     return starts
 
 
+def random_gaps(seed: int, frames: int) -> list[Gap]:
+    """Draw one to three gaps of 0.5 s to 60 s anywhere in a film."""
+    rng = np.random.default_rng(seed)
+    places = rng.integers(1, frames, rng.integers(1, 4))
+    return sorted(zip(places.tolist(), np.exp(rng.uniform(*np.log((0.5, 60.0)), len(places))).tolist(), strict=True))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("receiver", "gaps", "numbered"), [
     # eleven days, as after a clock change
@@ -73,6 +80,7 @@ def whole_packets(frames: Sequence[Frame], late: Floats, first_s: float, packet_
     # a frame
     ("plain", [(60, 0.0011), (131, 0.0211)], False),
     ("soft", [(60, 0.0011), (140, 37.0)], True), ("screen", [(40, 1e6), (150, 2.7)], False),
+    ("screen", [(100, 7.0)], False), *(("screen", random_gaps(seed, 300), False) for seed in (1, 2, 3)),
 ])  # fmt: skip
 def test_complete_packets_between_gaps_are_read(receiver: str, gaps: Sequence[Gap], numbered: bool) -> None:
     settings, frames = screens_film() if receiver == "screen" else arrays_film()

@@ -12,7 +12,16 @@ import pytest
 
 pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
 
-from browsers import DISPLAY, browser, check_accessibility, grabbed, needs_chromium, quiet_page, webcam_of
+from browsers import (
+    DISPLAY,
+    SMALL_TARGETS,
+    browser,
+    check_accessibility,
+    grabbed,
+    needs_chromium,
+    quiet_page,
+    webcam_of,
+)
 from cli_runs import succeeded, within
 from playwright.sync_api import Browser, Page, Route, expect
 from screen_films import Phone, phone_frames, write_phone_film, write_webcam
@@ -311,9 +320,10 @@ def test_frames_of_a_still_film_are_saved_by_a_button(chromium: Browser, address
         assert sum(1 for _ in film) > 60
 
 
-@pytest.mark.parametrize("page_name", ["", "transmit", "receive"])
-def test_page_is_accessible_and_fits_a_phone(chromium: Browser, address: str, page_name: str) -> None:
-    with quiet_page(chromium, address + page_name, viewport={"width": 390, "height": 800}) as page:
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("page_name", ["", "transmit", "receive", "glossary"])
+def test_page_is_accessible_and_fits(chromium: Browser, address: str, page_name: str, width: int) -> None:
+    with quiet_page(chromium, address + page_name, viewport={"width": width, "height": 800}) as page:
         for details in page.locator("details").all():
             details.evaluate("one => { one.open = true; }")
         if page_name == "transmit":
@@ -323,4 +333,5 @@ def test_page_is_accessible_and_fits_a_phone(chromium: Browser, address: str, pa
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
             check_accessibility(page)
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(SMALL_TARGETS) == []

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
 
-from browsers import check_accessibility, needs_chromium, quiet_page
+from browsers import SMALL_TARGETS, check_accessibility, needs_chromium, quiet_page
 from cli_runs import SMALL
 from playwright.sync_api import Browser, Page, WebSocketRoute, expect
 from web_server import serving
@@ -60,13 +60,6 @@ SLOW_PICTURES = """
     });
 """
 """Every third picture is decoded late, and the numbers of the drawn frames are kept."""
-SMALL_TARGETS = """
-    () => [...document.querySelectorAll("button, summary, select, input")]
-      .map((target) => [target.outerHTML.slice(0, 60), target.getBoundingClientRect()])
-      .filter(([_, box]) => box.width > 0 && (box.width < 24 || box.height < 24))
-      .map(([text]) => text)
-"""
-"""Controls below 24 px (WCAG 2.2, 2.5.8)."""
 
 
 @contextmanager

@@ -69,13 +69,13 @@ def transmit(
     if by_slot:
         levels = (slot for level in levels for slot in pwm.lit_slots(level, signal.slot_order).astype(np.uint8))
         count, period_s, max_level = count * pwm.SLOTS, period_s / pwm.SLOTS, 1
+    if suffix in FILM_SUFFIXES:
+        console.say("Caution: on a display this film flashes, which can trigger seizures in photosensitive epilepsy.")
     with console.progress("transmitting", count) as advance:
         _write(output, Patterns(_counted(levels, advance), count, signal.side, period_s, max_level), gamma)
     console.say(
         f"{output}: {count} {'slots' if by_slot else 'patterns'} of {period_s * 1e3:g} ms, {count * period_s:g} s"
     )
-    if suffix in FILM_SUFFIXES:
-        console.say("Caution: on a display this film flashes, which can trigger seizures in photosensitive epilepsy.")
 
 
 def _write(output: Path, patterns: Patterns, gamma: float) -> None:

@@ -19,6 +19,7 @@ from heliograph.web.recorded_drive import RECORDED_DRIVE
 from heliograph.web.security import HEADERS, Access, Guard
 from heliograph.web.shared import Limits, Shared
 from heliograph.web.stores import BusyError, MissingError
+from heliograph.web.wording import page_words
 
 STATUS: dict[type[Exception], int] = {files.TooLargeError: 413, BusyError: 503, MissingError: 404}
 """Status of responses by expected error; 400 for other errors."""
@@ -73,6 +74,7 @@ async def _answer_error(_request: Request, error: Exception) -> JSONResponse:
         case HeliographError() if not is_crash(error):
             status = STATUS.get(type(error), 400)
             # the rest of a large request stays unread
-            return JSONResponse({"error": str(error)}, status, {"connection": "close"} if status == 413 else None)
+            headers = {"connection": "close"} if status == 413 else None
+            return JSONResponse({"error": page_words(str(error))}, status, headers)
     # handlers of unexpected errors run outside the middleware
     return JSONResponse({"error": report(error)}, 500, HEADERS)

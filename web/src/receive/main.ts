@@ -266,11 +266,17 @@ function run(begun: Promise<void>): void {
   begun.catch((error: unknown) => { if (mine === turn) failed(error); });
 }
 
+const CAMERA_ERRORS: Record<string, string> = {
+  NotAllowedError: "The camera was refused: allow it for this page, or upload a video.",
+  NotFoundError: "This device has no camera: upload a video.",
+  NotReadableError: "Another program uses the camera: close it, or upload a video.",
+};
+
 function failed(error: unknown): void {
   end();
   if (error instanceof DOMException && error.name === "AbortError") return;
-  const refused = error instanceof DOMException && error.name === "NotAllowedError";
-  notice.fail(refused ? "The camera was refused: allow it for this page, or upload a video." : error);
+  const name = error instanceof DOMException ? error.name : "";
+  notice.fail(CAMERA_ERRORS[name] ?? error);
   say("Nothing yet.");
 }
 

@@ -40,7 +40,7 @@ export function reading(wish: Wish, take: (row: Row) => void, ended: (reason: st
     if (row.event === "error") last = row.error;
     take(row);
   };
-  made.onclose = (event) => ended(last || (event.code === 1000 ? "" : "the server ended the reading"));
+  made.onclose = (event) => ended(last || (event.code === 1000 ? "" : "the server closed the connection"));
   return made;
 }
 

@@ -197,7 +197,7 @@ async function mayFlash(): Promise<boolean> {
     rate.value = String(slow);
     advise();
   }
-  consented = true;
+  consented = answer === "start"; // a faster rate after a slow one asks again
   return true;
 }
 

@@ -194,7 +194,7 @@ const link = new Link({
   row: heard,
   scene,
   gone: (reason) => {
-    if (running || reason !== "") notice.fail(new Error(reason || "the connection ended"));
+    if (running || reason !== "") notice.fail(new Error(reason || "the server closed the connection"));
     ended();
   },
 });

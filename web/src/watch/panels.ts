@@ -140,7 +140,7 @@ function messages(model: Model): void {
   const part = (had: number, of: number, name: string): HTMLElement =>
     make("label", { class: "wide small" }, name, make("progress", { max: of, value: had }));
   const files = [...model.files.values()].map((file) => part(Math.min(file.symbols, file.needed), file.needed,
-    file.whole ? `file ${file.name ?? file.file}: whole, ${bytes(file.bytes)}` : `file of ${bytes(file.bytes)}: ${file.symbols} of ${file.needed} symbols`));
+    file.whole ? `file ${file.name ?? file.file}: complete, ${bytes(file.bytes)}` : `file of ${bytes(file.bytes)}: ${file.symbols} of ${file.needed} symbols`));
   const open = model.unfinished.slice(0, 3).map((one) => part(one.had, one.bytes, `array ${one.id}, ${one.layer} layer, message ${one.stream}: ${one.had} of ${one.bytes} bytes`));
   put("unfinished", ...files, ...open);
   // a message that several arrays send is listed once
