@@ -313,7 +313,7 @@ def test_frames_of_a_still_film_are_saved_by_a_button(chromium: Browser, address
         expect(page.locator("#why-lines li").first).to_be_visible()
         check_accessibility(page)
         with page.expect_download() as saved:
-            page.get_by_role("button", name="Save what failed").click()
+            page.get_by_role("button", name=re.compile(r"Save what failed \([\d.]+ [kM]B\)")).click()
         saved.value.save_as(tmp_path / "failed.h5")
         expect(page.locator(".notice")).to_contain_text("Saved as failed.h5")
     with open_film(tmp_path / "failed.h5") as film:

@@ -194,7 +194,7 @@ class PageReader:
         A window of a camera is always short, and the page counts lost frames.
         """
         self._tell({"event": "asking why"})
-        self._tell({"event": "why", "lines": _causes(frames, settings, omitted)})
+        self._tell({"event": "why", "lines": _causes(frames, settings, omitted), "bytes": self._recorder.size})
 
     def _finish(self, skipped: int = 0) -> None:
         """Report the counts, and the film of failed packets."""

@@ -119,7 +119,10 @@ function take(row: Row): void {
     case "why":
       if (results.count > 0) break;
       showWhy(row.lines.length > 0 ? row.lines : ["No reason was found. Film longer, closer and steadier."]);
-      if (camera !== null) saveButton.hidden = false;
+      if (camera !== null) {
+        saveButton.textContent = `Save what failed (${bytes(row.bytes)})`;
+        saveButton.hidden = false;
+      }
       say("Nothing received yet.");
       break;
     case "left":

@@ -14,7 +14,8 @@ export type Row =
   | { event: "progress"; frames: number; of: number | null }
   | { event: "took"; frames: number; dropped: number }
   | { event: "asking why" }
-  | { event: "early" | "why"; lines: string[] }
+  | { event: "early"; lines: string[] }
+  | { event: "why"; lines: string[]; bytes: number }
   | { event: "outline"; corners: number[] }
   | { event: "left"; frames: number }
   | { event: "saved" | "bundle"; bundle: string; bytes: number }
