@@ -73,6 +73,15 @@ def test_jump_by_a_cell_is_tracked() -> None:
         assert np.abs(seen.place.corners(SIDE) - corners).max() < 0.5
 
 
+def test_array_is_tracked_after_black_frames() -> None:
+    tracker = CellTracker(SIDE, 1.0, LINEAR, SearchBudget(), Place.of(CORNERS, SIDE))
+    for k in range(40):
+        tracker.track(Frame(k, k / 30, np.zeros((260, 320), np.uint8)))
+    seen = tracker.track(Frame(40, 40 / 30, drawn(levels(1))))
+    assert seen is not None
+    assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
+
+
 def test_changing_array_is_outlined() -> None:
     frames = [LINEAR[drawn(levels(k))] for k in range(6)]
     small = [reduce_frame(frame) for frame in frames]

@@ -369,13 +369,13 @@ class CellTracker:
         self.lost_since = None
         self._motion, self._place = fit.place.at(self._middle) - self._place.at(self._middle), fit.place
         if self._ring is None:
-            self._ring, self._usual_misfit = fit.ring, fit.misfit
+            self._ring, self._usual_misfit = fit.ring, max(fit.misfit, 0.05)  # 0 in a black frame
         if self._doubt(fit) < 1:
             self._ring = 0.95 * self._ring + 0.05 * fit.ring
             self._last_good = fit.place
         # at most 3 % per frame: cameras lose focus slowly
         self._max_light = max(fit.mean_light, self._max_light / 1.03)
-        self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / 1.03, self._usual_misfit * 1.03))
+        self._usual_misfit = float(np.clip(fit.misfit, max(self._usual_misfit / 1.03, 0.05), self._usual_misfit * 1.03))
         return fit
 
     def _places_around(self, frame: Frame, place: Place) -> Iterator[Place]:
