@@ -354,8 +354,8 @@ class CellTracker:
         # sway goes on, tremor turns back
         expected = self._place.moved(0.5 * self._motion)
         fit = self._checked_fit(frame, expected)
-        if fit is not None and fit.mean_light < 0.15 * self._max_light:
-            return None  # the backlight was off
+        if fit is not None and (not fit.misfit or fit.mean_light < 0.15 * self._max_light):
+            return None  # a black frame, or the backlight was off
         if self._correct_slips and (fit is None or self._doubt(fit) > 1) and self._budget.is_left:
             # the shape of the last good fit
             shaped = self._last_good.moved(expected.at(self._middle) - self._last_good.at(self._middle))
@@ -369,13 +369,13 @@ class CellTracker:
         self.lost_since = None
         self._motion, self._place = fit.place.at(self._middle) - self._place.at(self._middle), fit.place
         if self._ring is None:
-            self._ring, self._usual_misfit = fit.ring, max(fit.misfit, 0.05)  # 0 in a black frame
+            self._ring, self._usual_misfit = fit.ring, fit.misfit
         if self._doubt(fit) < 1:
             self._ring = 0.95 * self._ring + 0.05 * fit.ring
             self._last_good = fit.place
         # at most 3 % per frame: cameras lose focus slowly
         self._max_light = max(fit.mean_light, self._max_light / 1.03)
-        self._usual_misfit = float(np.clip(fit.misfit, max(self._usual_misfit / 1.03, 0.05), self._usual_misfit * 1.03))
+        self._usual_misfit = float(np.clip(fit.misfit, self._usual_misfit / 1.03, self._usual_misfit * 1.03))
         return fit
 
     def _places_around(self, frame: Frame, place: Place) -> Iterator[Place]:
