@@ -132,7 +132,7 @@ class Samples:
         """Return the median correlation of every other pattern with the next: 1 for pairs of any rate."""
         gram, b = self._products(clock, clock.pairs(self.times_s, self._bins))
         power = np.linalg.solve(gram, np.linalg.solve(gram, b).transpose(0, 2, 1)).sum(0)
-        scale = np.sqrt(np.diag(power))
+        scale = np.sqrt(np.maximum(np.diag(power), TINY))  # patterns without light
         correlation = np.abs(np.diag(power, 1)) / (scale[1:] * scale[:-1])
         return max(float(np.median(correlation[start::2])) for start in (0, 1))
 
