@@ -70,7 +70,8 @@ def random_gaps(seed: int, frames: int) -> list[Gap]:
     """Draw one to three gaps of 0.5 s to 60 s anywhere in a film."""
     rng = np.random.default_rng(seed)
     places = rng.integers(1, frames, rng.integers(1, 4))
-    return sorted(zip(places.tolist(), np.exp(rng.uniform(*np.log((0.5, 60.0)), len(places))).tolist(), strict=True))
+    lengths = np.exp(rng.uniform(np.log(0.5), np.log(60.0), len(places)))
+    return sorted(zip(places.tolist(), lengths.tolist(), strict=True))
 
 
 @pytest.mark.slow
