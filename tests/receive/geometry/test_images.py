@@ -146,7 +146,8 @@ def test_footprints_are_shared_and_read_only() -> None:
 
 def test_the_image_of_a_part_has_the_other_parts_off() -> None:
     rng, pose = np.random.default_rng(5), Pose(9.3, 8.1, 1.1, 0.03, 0.6)
-    levels, parts = rng.random((16, 16)), rng.integers(0, 3, (16, 16))
-    got = images_of(levels, parts, 3, pose, (2, 1), (17, 16))
-    for number, image in enumerate(got):
-        assert image == pytest.approx(image_of(levels * (parts == number), pose, (2, 1), (17, 16)), abs=1e-12)
+    levels, leds = rng.random((16, 16)), rng.permutation(256).reshape(4, 64)
+    for places, image in zip(leds, images_of(levels, leds, pose, (2, 1), (17, 16)), strict=True):
+        part = np.zeros(256)
+        part[places] = to_quarters(levels)[places]
+        assert image == pytest.approx(image_of(to_grid(part), pose, (2, 1), (17, 16)), abs=1e-12)

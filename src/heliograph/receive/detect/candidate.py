@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.base.frames import Frame
@@ -24,7 +25,7 @@ from heliograph.receive.detect.alternation import (
     size_limits,
 )
 from heliograph.receive.geometry.fit import Fit, fit_array
-from heliograph.receive.geometry.footprint import images_of, render_with_slopes
+from heliograph.receive.geometry.footprint import images_of, render_with_slopes, to_quarters
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Corner, Pose, Shape
 from heliograph.receive.geometry.window import Window, cut_out, window_around
@@ -133,14 +134,14 @@ def cell_weights(cells: Floats, side: int) -> Floats:
 
 def cell_images(led_gains: Floats, pose: Pose, corner: Corner, shape: Shape) -> Floats:
     """Render each cell of a header with all LEDs on, (16, pixels)."""
-    images = images_of(led_gains, _cell_numbers(len(led_gains)), CELLS * CELLS, pose, corner, shape)
-    return images.reshape(CELLS * CELLS, -1)
+    return images_of(led_gains, _leds_of_cells(len(led_gains)), pose, corner, shape).reshape(CELLS * CELLS, -1)
 
 
 @lru_cache
-def _cell_numbers(side: int) -> Floats:
-    """Return the number of each LED's cell, (n, n)."""
-    return cell_weights(np.arange(CELLS * CELLS, dtype=np.float64), side)
+def _leds_of_cells(side: int) -> NDArray[np.intp]:
+    """Return the places in quarters of the LEDs of each cell, (16, LEDs)."""
+    numbers = to_quarters(cell_weights(np.arange(CELLS * CELLS, dtype=np.float64), side))
+    return np.argsort(numbers, kind="stable").reshape(CELLS * CELLS, -1)
 
 
 def find_lit_cells(change: Change, origin: Corner, pose: Pose, weights: Floats, min_light: float) -> Floats:

@@ -185,11 +185,12 @@ class PyramidSearch:
             level_means = (detector.block_means(reduced) if k else means) if reduced else None
             if level_means is None:
                 continue
-            level_busy = detector.busy_blocks(level_means, first_present(reduced), poses)
-            if k == 0:
-                level_busy &= busy
-            elif skipped.any():
-                level_busy &= _without_skipped(skipped, busy, slots, reduced, k)
+            if k == 0 and not detections:
+                level_busy = busy
+            else:
+                level_busy = detector.busy_blocks(level_means, first_present(reduced), poses)
+                if skipped.any():
+                    level_busy &= busy if k == 0 else _without_skipped(skipped, busy, slots, reduced, k)
             for found in detector.search(reduced, level_busy, poses, with_turned):
                 known.append(view.pose_out(found.fit.pose))
                 fit, drift = view.map_fit(found.fit, inverse=True), view.map_motion(found.drift, inverse=True)

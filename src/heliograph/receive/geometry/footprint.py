@@ -51,12 +51,10 @@ def sum_of_leds(levels: Floats, light: Footprints) -> Floats:
     return np.asarray((levels[:, None] * down).T @ across)
 
 
-def images_of(levels: Floats, parts: NDArray[Any], count: int, pose: Pose, corner: Corner, shape: Shape) -> Floats:
-    """Render each part of an array separately, (count, rows, columns)."""
+def images_of(levels: Floats, leds: NDArray[Any], pose: Pose, corner: Corner, shape: Shape) -> Floats:
+    """Render each of equal parts of an array, (parts, rows, columns), from places in quarters (parts, LEDs)."""
     across, down = footprints.__wrapped__(pose, corner, shape, len(levels))
-    numbers, lit = to_quarters(parts), to_quarters(levels)
-    leds = [np.flatnonzero(numbers == part) for part in range(count)]
-    return np.stack([sum_of_leds(lit[of], (across[of], down[of])) for of in leds])
+    return np.asarray((to_quarters(levels)[leds][:, :, None] * down[leds]).transpose(0, 2, 1) @ across[leds])
 
 
 def render_with_slopes(pose: Pose, levels: Floats, corner: Corner, shape: Shape) -> Floats:

@@ -22,7 +22,7 @@ import numpy as np
 
 from heliograph.base.arrays import RCOND, TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.geometry.footprint import images_of
+from heliograph.receive.geometry.footprint import footprints, sum_of_leds, to_quarters
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import HALF_LIT, cut_out, window_around
 from heliograph.receive.sync.combine import dimmed_light, slot_light
@@ -78,8 +78,9 @@ def _project(frame: Frame, pose: Pose, lit: Floats) -> tuple[Floats, Floats, flo
     window = window_around(pose, len(lit), 3.0)
     x0, y0, width, height = window
     pixels = cut_out(frame, window).ravel()
-    on, off = images_of(np.abs(lit), lit < 0, 2, pose, (x0, y0), (height, width)).reshape(2, -1)
-    columns = np.stack([on - off, on + off, np.ones(pixels.size)])
+    light = footprints.__wrapped__(pose, (x0, y0), (height, width), len(lit))
+    images = [sum_of_leds(to_quarters(levels), light).ravel() for levels in (lit, np.abs(lit))]
+    columns = np.stack([*images, np.ones(pixels.size)])
     full, all_on, clipped = pixels >= frame.full_scale, columns[1], 0.0
     if full.any():
         clipped = float(full[all_on >= HALF_LIT * all_on.max()].mean())

@@ -137,8 +137,8 @@ class SlipWatch:
             is_copy = self._gap(0) == 2 and self._epsilon(0) < MAX_EVEN / 2
             yield self._pop()
             self.lost -= is_copy
-        elif not (self._epsilon(0) >= MAX_EVEN and self._has_slipped()):
-            self._even_before = self._mean is None or self._epsilon(0) < MAX_EVEN
+        elif not ((epsilon := self._epsilon(0)) >= MAX_EVEN and self._has_slipped()):
+            self._even_before = self._mean is None or epsilon < MAX_EVEN
             mean = 0.5 * (first.light + self._pending[1].light)
             self._mean = mean if self._mean is None else self._mean + 0.1 * (mean - self._mean)
             yield self._pop()

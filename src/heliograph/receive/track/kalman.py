@@ -112,7 +112,9 @@ class PoseState:
         # for tau = 100 patterns: it adds tau^2, as a walk of the variance tau dt
         turn = 0.3 * hypot(self._numbers[5], self._numbers[6]) / model.focal_px
         variance = 0.01**2 * dt / (1000 * model.period_s) + turn**2 * 100 * model.period_s * dt
-        return PoseState(time_s, mean, covariance, self.tilt, self.tilt_covariance + variance * np.eye(2))
+        return PoseState(
+            time_s, mean, covariance, self.tilt, self.tilt_covariance + np.array([[variance, 0.0], [0.0, variance]])
+        )
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Predict the mean (5,) and the covariance (5, 5) of a fit."""
