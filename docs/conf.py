@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
+    "sphinx-mathjax-offline",
 ]
 exclude_patterns = ["_build", "_extra", "jupyter_execute", "vectors", "**.ipynb_checkpoints"]
 html_theme = "furo"

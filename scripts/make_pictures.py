@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from heliograph.experiments.plots import styled
+from heliograph.experiments.plots import figure_svg, styled
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate
 
@@ -50,7 +50,7 @@ def draw() -> Figure:
 
 def main() -> None:
     PICTURES.mkdir(exist_ok=True)
-    styled(draw().savefig)(PICTURES / "by-distance.png")
+    (PICTURES / "by-distance.svg").write_bytes(figure_svg(draw()))
 
 
 if __name__ == "__main__":

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from observe_oracle import transform
 from render_oracle import blur_matrix
 
-from heliograph.experiments.plots import GRAY, image_row, styled
+from heliograph.experiments.plots import GRAY, figure_svg, image_row, styled
+from heliograph.link.budget import REQUIRED_INFORMATION
 from heliograph.link.settings import load_settings
 from heliograph.link.simulate import default_messages, simulate, transmitters
 from heliograph.receive.api import make_receiver
@@ -120,7 +121,7 @@ def sites(kinds: Mapping[str, Packet]) -> Figure:
 
 def _finish(axes: Axes, count: int) -> None:
     """Name the axes of information by iteration."""
-    axes.axhline(0.43, color=GRAY, lw=1, ls="--", label="needed at rate 1/3")
+    axes.axhline(REQUIRED_INFORMATION[0][1], color=GRAY, lw=1, ls="--", label="needed at rate 1/3")
     axes.set(xlabel="iteration", ylabel="information (bit per coded bit)", xticks=range(1, 1 + count))
     axes.legend(loc="upper left", bbox_to_anchor=(1, 1))
 
@@ -136,7 +137,7 @@ def main() -> None:
         ("iterations", iterations(Packet(115, "receive.soft.led_by_led=false"))),
         ("sites", sites(kinds)),
     ):
-        figure.savefig(PICTURES / f"soft-{name}.png", dpi=200)
+        (PICTURES / f"soft-{name}.svg").write_bytes(figure_svg(figure))
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ def as_number(value: Any) -> Any:
         return value
 
 
-CodeRate = Annotated[float, BeforeValidator(as_number), Field(ge=1 / 3 - RATE_SLACK, le=0.9 + RATE_SLACK)]
+CodeRate = Annotated[float, BeforeValidator(as_number), Field(ge=0.333, le=0.9)]
 """Information bits per sent bit, from 1/3, the mother code rate, to 9/10."""
 
 
