@@ -111,8 +111,8 @@ WorkersOption = Annotated[int | None, typer.Option(min=1, help="Worker processes
 Receiver = Annotated[
     str | None,
     typer.Option(
-        help="Receiver: plain, soft, screen (for a phone's film of a screen), a custom receiver, or auto, which "
-        "chooses by the frame rate; default: receiver of the preset, or auto.",
+        help="Receiver: plain, soft, screen (for a phone's film of a screen), a published or custom receiver, or auto, "
+        "which chooses by the frame rate; default: receiver of the preset, or auto.",
         autocompletion=complete_receiver,
     ),
 ]

@@ -33,6 +33,7 @@ RECEIVERS: Registry[Any] = Registry(
         "plain": "heliograph.receive.build:plain_receiver",
         "soft": "heliograph.receive.build:soft_receiver",
         "screen": "heliograph.receive.screen.receiver:ScreenReceiver",
+        "threshold": "heliograph.receive.published.threshold:threshold_receiver",
     },
 )
 """Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""

@@ -84,7 +84,7 @@ class DetectSettings:
     ----------
     min_side_px
         Minimum side of an array in px, at least 3; arrays down to 0.945 of the minimum are detected too. If left out, 8
-        for "plain" and 4 for "soft". A smaller value reads farther, takes longer and detects more clutter.
+        for "plain" and 4 for others. A smaller value reads farther, takes longer and detects more clutter.
     max_side_px
         Maximum side of an array in px, 6 to 4096; arrays above 64 px are searched in reduced frames.
     min_contrast
@@ -155,7 +155,7 @@ class DecodeSettings:
     ----------
     algorithm
         Algorithm of the turbo code: "max-log" with scaled extrinsic values, or "log-map", which loses fewer blocks and
-        takes longer. If left out, "max-log" for "plain" and "log-map" for "soft".
+        takes longer. If left out, "log-map" for "soft" and "screen", else "max-log".
     iterations
         Maximum number of iterations, 1 to 64; decoding of a codeword stops as soon as the CRC is right.
     in_background
@@ -236,7 +236,7 @@ class ReceiveSettings:
     ----------
     receiver
         Receiver: "plain" is the paper's, "soft" reads as far as the channel allows, "screen" reads a screen filmed by a
-        phone; others may be registered.
+        phone; `heliograph.list_receivers` also names published ones, and others may be registered.
     calibration
         Calibration of lens and array.
     detect

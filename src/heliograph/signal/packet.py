@@ -151,6 +151,10 @@ class PacketFormat:
         """Demodulate luminances x' = level - 2, (..., n, n), to soft data; positive for bit 0."""
         return haar.decode(x) if self.settings.modulation == "haar" else ook.decode(x)
 
+    def luminances(self, d: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Modulate soft data, (..., n, n), to luminances x' = level - 2; the inverse of `soft_data`."""
+        return haar.inverse_transform(d) if self.settings.modulation == "haar" else 2 * d
+
     def join(self, symbols: NDArray[np.int8]) -> NDArray[np.int8]:
         """Join symbols, (pairs, n * n) in the order high, middle, low, to data matrices, (pairs, n, n) (section 5)."""
         h = self.settings.side // 2

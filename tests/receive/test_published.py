@@ -1,0 +1,63 @@
+"""Published receivers: the qualitative result of each source, on small films."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scenes import film, link, received, words_of
+
+from heliograph.base.errors import SettingsError
+from heliograph.base.frames import Frame
+from heliograph.measure.bench import run_block
+from heliograph.receive.api import list_receivers, make_receiver
+from heliograph.receive.packet import Packet
+from heliograph.receive.registry import RECEIVERS
+from heliograph.receive.settings import ReceiveSettings
+from heliograph.signal.settings import SignalSettings
+
+SEED = 45
+
+
+@cache
+def raw_errors(receiver: str, distance_m: float, modulation: str = "ook") -> dict[str, int]:
+    """Count the wrong bits of each layer before the channel decoder, of a packet that all receivers get."""
+    changes = f"receive.receiver={receiver}", f"signal.modulation={modulation}", "signal.data_pairs=24"
+    counts = run_block(link(*changes, distance_m=distance_m), SEED, max_packets=1)
+    assert counts.detected == counts.packets == 1
+    assert counts.false_codewords == 0
+    return {name: layer.raw_errors for name, layer in counts.layers.items()}
+
+
+def total(receiver: str, distance_m: float, modulation: str = "ook") -> int:
+    """Count the wrong bits among 6144."""
+    return sum(raw_errors(receiver, distance_m, modulation).values())
+
+
+@cache
+def packet_film(modulation: str, distance_m: float) -> list[Frame]:
+    return film(link(f"signal.modulation={modulation}", "signal.data_pairs=24", distance_m=distance_m), 55, SEED, 12)
+
+
+def packet(receiver: str, modulation: str, distance_m: float) -> Packet:
+    settings = link(f"signal.modulation={modulation}", "signal.data_pairs=24", f"receive.receiver={receiver}")
+    (received_packet,) = received(packet_film(modulation, distance_m), settings)
+    return received_packet
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("modulation", ["haar", "ook"])
+def test_threshold_decides_like_plain_without_soft_values(modulation: str) -> None:
+    plain, threshold = (words_of(packet(name, modulation, 45.0)) for name in ("plain", "threshold"))
+    for soft, hard in zip(plain, threshold, strict=True):
+        assert np.array_equal(soft.raw, hard.raw)
+        assert np.unique(np.abs(hard.llr)).size == 1
+        assert np.unique(np.abs(soft.llr)).size > 1
+    assert {word.status for word in threshold} == {"ok"}
+
+
+@pytest.mark.parametrize("name", [name for name, place in RECEIVERS.built_in.items() if ".published." in place])
+def test_published_receivers_are_made_by_name(name: str) -> None:
+    assert name in list_receivers()
+    assert list(make_receiver(SignalSettings(), ReceiveSettings(receiver=name)).finish()) == []
+    with pytest.raises(SettingsError, match="has no effect"):
+        ReceiveSettings(receiver=name, plain={"equaliser": "inverse"})  # type: ignore[arg-type]
