@@ -61,3 +61,12 @@ def test_published_receivers_are_made_by_name(name: str) -> None:
     assert list(make_receiver(SignalSettings(), ReceiveSettings(receiver=name)).finish()) == []
     with pytest.raises(SettingsError, match="has no effect"):
         ReceiveSettings(receiver=name, plain={"equaliser": "inverse"})  # type: ignore[arg-type]
+
+
+
+@pytest.mark.slow
+def test_cancellation_of_interference_reads_farther() -> None:
+    """Kasashima et al. 2013: free of error to 40 m without and to 60 m with the cancellation."""
+    assert total("threshold", 40.0) == total("kasashima", 40.0) == 0
+    assert total("threshold", 53.0) > 60
+    assert total("kasashima", 53.0) <= 3

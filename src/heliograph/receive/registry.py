@@ -34,6 +34,7 @@ RECEIVERS: Registry[Any] = Registry(
         "soft": "heliograph.receive.build:soft_receiver",
         "screen": "heliograph.receive.screen.receiver:ScreenReceiver",
         "threshold": "heliograph.receive.published.threshold:threshold_receiver",
+        "kasashima": "heliograph.receive.published.kasashima:kasashima_receiver",
     },
 )
 """Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""
