@@ -70,3 +70,20 @@ def test_cancellation_of_interference_reads_farther() -> None:
     assert total("threshold", 40.0) == total("kasashima", 40.0) == 0
     assert total("threshold", 53.0) > 60
     assert total("kasashima", 53.0) <= 3
+
+
+
+@pytest.mark.slow
+def test_zero_forcing_reads_farther_until_the_noise_prevails() -> None:
+    assert total("zero-forcing", 57.0) < 0.1 * total("threshold", 57.0)
+    # beyond, zero forcing amplifies the noise
+    assert total("zero-forcing", 90.0) > total("threshold", 90.0)
+
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("distance_m", "modulation"), [(65.0, "ook"), (70.0, "haar"), (90.0, "haar")])
+def test_mmse_limits_the_noise(distance_m: float, modulation: str) -> None:
+    mmse = total("mmse", distance_m, modulation)
+    assert mmse <= total("zero-forcing", distance_m, modulation)
+    assert mmse < 0.8 * total("threshold", distance_m, modulation)

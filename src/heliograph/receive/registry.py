@@ -35,6 +35,8 @@ RECEIVERS: Registry[Any] = Registry(
         "screen": "heliograph.receive.screen.receiver:ScreenReceiver",
         "threshold": "heliograph.receive.published.threshold:threshold_receiver",
         "kasashima": "heliograph.receive.published.kasashima:kasashima_receiver",
+        "zero-forcing": "heliograph.receive.published.linear:zero_forcing_receiver",
+        "mmse": "heliograph.receive.published.linear:mmse_receiver",
     },
 )
 """Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""
