@@ -63,14 +63,12 @@ def test_published_receivers_are_made_by_name(name: str) -> None:
         ReceiveSettings(receiver=name, plain={"equaliser": "inverse"})  # type: ignore[arg-type]
 
 
-
 @pytest.mark.slow
 def test_cancellation_of_interference_reads_farther() -> None:
     """Kasashima et al. 2013: free of error to 40 m without and to 60 m with the cancellation."""
     assert total("threshold", 40.0) == total("kasashima", 40.0) == 0
     assert total("threshold", 53.0) > 60
     assert total("kasashima", 53.0) <= 3
-
 
 
 @pytest.mark.slow
@@ -80,10 +78,25 @@ def test_zero_forcing_reads_farther_until_the_noise_prevails() -> None:
     assert total("zero-forcing", 90.0) > total("threshold", 90.0)
 
 
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("distance_m", "modulation"), [(65.0, "ook"), (70.0, "haar"), (90.0, "haar")])
 def test_mmse_limits_the_noise(distance_m: float, modulation: str) -> None:
     mmse = total("mmse", distance_m, modulation)
     assert mmse <= total("zero-forcing", distance_m, modulation)
     assert mmse < 0.8 * total("threshold", distance_m, modulation)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("receiver", ["svm", "mlp"])
+@pytest.mark.parametrize(("distance_m", "modulation"), [
+    (53.0, "ook"), (65.0, "ook"), (60.0, "haar"), (75.0, "haar"), (90.0, "haar"),
+])  # fmt: skip
+def test_learned_decisions_read_farther_than_a_threshold(receiver: str, distance_m: float, modulation: str) -> None:
+    assert total(receiver, distance_m, modulation) < 0.9 * total("threshold", distance_m, modulation)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("receiver", ["svm", "mlp"])
+@pytest.mark.parametrize("modulation", ["haar", "ook"])
+def test_learned_decisions_hold_nearer_than_the_training(receiver: str, modulation: str) -> None:
+    assert total(receiver, 20.0, modulation) < 20

@@ -37,6 +37,8 @@ RECEIVERS: Registry[Any] = Registry(
         "kasashima": "heliograph.receive.published.kasashima:kasashima_receiver",
         "zero-forcing": "heliograph.receive.published.linear:zero_forcing_receiver",
         "mmse": "heliograph.receive.published.linear:mmse_receiver",
+        "svm": "heliograph.receive.published.learned:svm_receiver",
+        "mlp": "heliograph.receive.published.learned:mlp_receiver",
     },
 )
 """Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""

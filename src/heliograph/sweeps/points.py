@@ -83,7 +83,8 @@ def build() -> str:
 @cache
 def _code_digest() -> str:
     root, code = Path(heliograph.__file__).parent, hashlib.sha256()
-    for path in sorted(root.rglob("*.py")):
+    # results also depend on the parameters of trained receivers
+    for path in sorted([*root.rglob("*.py"), *root.rglob("*.npz")]):
         code.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return code.hexdigest()[:12]
 
