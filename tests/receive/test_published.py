@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import film, link, received, words_of
 
-from heliograph.base.errors import SettingsError
+from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.measure.bench import run_block
 from heliograph.receive.api import list_receivers, make_receiver
@@ -100,3 +100,31 @@ def test_learned_decisions_read_farther_than_a_threshold(receiver: str, distance
 @pytest.mark.parametrize("modulation", ["haar", "ook"])
 def test_learned_decisions_hold_nearer_than_the_training(receiver: str, modulation: str) -> None:
     assert total(receiver, 20.0, modulation) < 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("modulation", "phase"), [
+    ("ook", 0.1), ("ook", 0.35), ("ook", 0.6), ("ook", 0.85), ("haar", 0.1), ("haar", 0.6), ("haar", 0.85),
+])  # fmt: skip
+def test_oversampling_selects_the_phase_of_a_camera_out_of_step(modulation: str, phase: float) -> None:
+    changes = f"signal.modulation={modulation}", "signal.data_pairs=24", "receive.receiver=oversampling"
+    camera = {"width": 160, "height": 120, "fps": 2000.0, "exposure_s": 5e-4, "start_s": phase * 1e-3}
+    counts = run_block(link(*changes, camera=camera, distance_m=25.0), SEED, max_packets=2)
+    assert counts.packets > 0
+    assert [layer.codeword_errors for layer in counts.layers.values()] == [0, 0, 0]
+
+
+def test_oversampling_refuses_a_frame_per_pattern() -> None:
+    settings = link("receive.receiver=oversampling")
+    with pytest.raises(HeliographError, match="needs two frames per pattern: the film has 1000"):
+        received(film(settings, 20, roi_margin_px=12), settings)
+
+
+@pytest.mark.slow
+def test_oversampling_follows_the_drift_of_a_camera() -> None:
+    """A drift by a pattern passes two selections; a selection costs a packet at most."""
+    camera = {"width": 160, "height": 120, "fps": 2000.0, "exposure_s": 5e-4, "start_s": 1e-4, "clock_ppm": -2000.0}
+    changes = "signal.modulation=ook", "signal.data_pairs=24", "receive.receiver=oversampling"
+    counts = run_block(link(*changes, camera=camera, distance_m=30.0), SEED, max_packets=12)
+    assert counts.packets >= 11
+    assert counts.layers["high"].codeword_errors <= 1

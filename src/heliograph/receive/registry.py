@@ -39,6 +39,7 @@ RECEIVERS: Registry[Any] = Registry(
         "mmse": "heliograph.receive.published.linear:mmse_receiver",
         "svm": "heliograph.receive.published.learned:svm_receiver",
         "mlp": "heliograph.receive.published.learned:mlp_receiver",
+        "oversampling": "heliograph.receive.published.oversampling:OversamplingReceiver",
     },
 )
 """Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""
