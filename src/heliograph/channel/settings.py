@@ -359,6 +359,29 @@ class SensorSettings:
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
+class WeatherSettings:
+    """Weather between arrays and camera, clear by default.
+
+    Attributes
+    ----------
+    visibility_m
+        Meteorological optical range of fog in m, 10 to 1e6, over which light falls to 5 %; left out for clear air.
+    airlight
+        Light of the horizon in full scales, 0 to 4: fog at an infinite distance.
+    background_m
+        Distance of the background in m, 1 to 1e6, for the airlight; constant over the film.
+    droplet_m
+        Diameter of fog droplets in m, 1e-6 to 1e-4. Smaller droplets widen the halo of an array.
+    """
+
+    visibility_m: Annotated[float, Field(ge=10, le=1e6)] | None = None
+    airlight: LightLevel = 0.1
+    background_m: Annotated[float, Field(ge=1, le=1e6)] = 300.0
+    droplet_m: Annotated[float, Field(ge=1e-6, le=1e-4)] = 1e-5
+
+
+@clear_errors
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ChannelSettings:
     """Channel from LED patterns to camera frames; the defaults are the reference link.
 
@@ -395,6 +418,8 @@ class ChannelSettings:
         Noise and gray levels of the image sensor.
     background
         Background of the arrays.
+    weather
+        Weather between arrays and camera.
     custom
         Settings of registered motions, backgrounds and point-spread functions, by name.
     """
@@ -413,6 +438,7 @@ class ChannelSettings:
     emitter: EmitterSettings = EmitterSettings()
     sensor: SensorSettings = SensorSettings()
     background: BackgroundSettings = BackgroundSettings()
+    weather: WeatherSettings = WeatherSettings()
     custom: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @model_validator(mode="after")

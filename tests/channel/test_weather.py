@@ -1,0 +1,124 @@
+"""Weather against the equations: extinction, airlight and halo of fog."""
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from heliograph.base.config import from_mapping
+from heliograph.base.errors import SettingsError
+from heliograph.channel.camera import film
+from heliograph.channel.settings import ChannelSettings, WeatherSettings
+from heliograph.channel.weather import DIFFRACTED, WAVELENGTH_M, extinction, scattered, transmission
+
+STILL = {
+    "distance_m": 60.0, "speed_m_s": 0, "shake": "none", "duration_s": 1e-3,
+    "arrays": [{"x_m": 0, "y_m": 0, "brightness": 0.5}], "sensor": {"full_well_e": 1e7, "dark_noise_e": 0, "bits": 12},
+}  # fmt: skip
+FOG: dict[str, Any] = {"visibility_m": 100.0, "airlight": 0.4}
+
+
+def shoot(weather: dict[str, Any], level: int = 4, roi: int | None = None, **changes: Any) -> list[NDArray[Any]]:
+    """Return the frames of arrays of a constant level in full scales."""
+    settings = from_mapping(ChannelSettings, {**STILL, **changes, "weather": weather})
+    lights = [itertools.repeat(np.full((16, 16), level, np.uint8)) for _ in settings.arrays]
+    frames = film(settings, lights, np.random.default_rng(2), pattern_period_s=1e-3, roi_margin_px=roi)
+    return [frame.pixels / settings.sensor.full_scale for frame, _ in frames]
+
+
+def array_light(weather: dict[str, Any], **changes: Any) -> NDArray[Any]:
+    """Return the light of the LEDs without ambient light."""
+    return np.asarray(shoot(weather, 4, **changes)[0] - shoot(weather, 0, **changes)[0])
+
+
+def test_weather_is_clear_by_default() -> None:
+    dry = {"airlight": 3.0, "background_m": 2.0, "droplet_m": 1e-6}
+    moving: dict[str, Any] = {"speed_m_s": 20.0, "shake": "road", "duration_s": 0.02, "background": {"kind": "street"}}
+    for one, other in zip(shoot({}, **moving), shoot(dry, **moving), strict=True):
+        assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("visibility_m", [50.0, 1000.0])
+def test_light_falls_to_a_twentieth_over_the_optical_range(visibility_m: float) -> None:
+    weather = WeatherSettings(visibility_m=visibility_m)
+    assert extinction(weather) == pytest.approx(2.996 / visibility_m, rel=1e-4)
+    assert transmission(weather, visibility_m) == pytest.approx(0.05)
+    assert (extinction(WeatherSettings()), transmission(WeatherSettings(), 1e4)) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize("distance_m", [40.0, 80.0])
+def test_arrays_fade_as_koschmieder_says(distance_m: float) -> None:
+    fog, clear = (array_light(weather, distance_m=distance_m) for weather in (FOG, {}))
+    share, angle = scattered(WeatherSettings(**FOG), distance_m)
+    halo = share * clear.sum() / (2 * math.pi * (angle * 0.035 / 12e-6) ** 2)
+    centre = slice(250, 262), slice(506, 518)
+    direct = fog[centre].mean() - halo
+    assert direct / clear[centre].mean() == pytest.approx(math.exp(-2.9957 / 100 * distance_m), rel=2e-3)
+
+
+@pytest.mark.parametrize("at", ["background", "panel"])
+def test_contrast_to_the_horizon_is_a_twentieth_at_the_optical_range(at: str) -> None:
+    black: dict[str, Any] = {"arrays": [], "background": {"level": 0.0}}
+    if at == "panel":
+        black = {"distance_m": 20.0, "emitter": {"panel_level": 0.0, "panel_margin_m": 1.0}}
+    weather = {"visibility_m": 200.0 if at == "background" else 20.0, "airlight": 0.4, "background_m": 200.0}
+    assert 1 - shoot(weather, 0, **black)[0][255, 511] / 0.4 == pytest.approx(0.05, abs=2e-3)
+
+
+@pytest.mark.parametrize(("visibility_m", "distance_m"), [(100.0, 20.0), (50.0, 80.0)])
+def test_halo_has_share_and_width_of_random_small_angles(visibility_m: float, distance_m: float) -> None:
+    weather, rng = WeatherSettings(visibility_m=visibility_m, droplet_m=2e-5), np.random.default_rng(0)
+    depth = extinction(weather) * distance_m
+    counts = rng.poisson(DIFFRACTED * depth, 200_000)
+    theta = math.sqrt(2) * WAVELENGTH_M / (math.pi * weather.droplet_m)
+    turns = theta * rng.standard_normal(counts.sum()) * rng.random(counts.sum())  # seen at a fraction of the way
+    seen_at = np.bincount(np.repeat(np.arange(len(counts)), counts), turns, len(counts))
+    share, angle = scattered(weather, distance_m)
+    lost = math.exp(-(1 - DIFFRACTED) * depth)
+    assert share / lost == pytest.approx((counts > 0).mean(), rel=0.01)
+    assert angle == pytest.approx(seen_at[counts > 0].std(), rel=0.01)
+    assert share + transmission(weather, distance_m) == pytest.approx(lost)
+
+
+@pytest.mark.parametrize("changes", [
+    {}, {"arrays": [{"x_m": 0, "y_m": 0, "brightness": 0.5, "vx_m_s": 5.0, "yaw_deg": 20.0}]},
+    {"emitter": {"shape": "cell"}}, {"camera": {"row_time_s": 1e-6}},
+])  # fmt: skip
+def test_direct_light_and_halo_have_the_light_that_is_not_refracted(changes: dict[str, Any]) -> None:
+    changes = {"background": {"level": 0.02}, "distance_m": 30.0, **changes}
+    fog, clear = (array_light(weather, **changes) for weather in (FOG, {}))
+    depth = 2.9957 / 100 * 30
+    # rounding of 12 bits cuts the edge of the halo
+    assert fog.sum() / clear.sum() == pytest.approx(math.exp(-(1 - DIFFRACTED) * depth), rel=0.02)
+    assert clear[180:330, 440:580].sum() == pytest.approx(clear.sum(), rel=1e-3)
+    assert fog[180:330, 440:580].sum() < 0.95 * fog.sum()
+
+
+def test_window_is_the_frame_bit_for_bit() -> None:
+    changes = {"speed_m_s": 20.0, "shake": "road", "duration_s": 3e-3, "sensor": {}}
+    settings = from_mapping(ChannelSettings, {**STILL, **changes, "weather": FOG})
+    for window, frame in zip(*(_frames(settings, roi) for roi in (5, None)), strict=True):
+        (x, y), (height, width) = window.origin, window.pixels.shape
+        assert np.array_equal(window.pixels, frame.pixels[y : y + height, x : x + width])
+
+
+def _frames(settings: ChannelSettings, roi: int | None) -> list[Any]:
+    lights = [itertools.repeat(np.full((16, 16), 3, np.uint8))]
+    made = film(settings, lights, np.random.default_rng(2), pattern_period_s=1e-3, roi_margin_px=roi)
+    return [frame for frame, _ in made]
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"visibility_m": 5}, "'weather.visibility_m': input should be greater than or equal to 10"),
+    ({"visibility_m": math.inf}, "'weather.visibility_m': input should be a finite number"),
+    ({"airlight": -1}, "weather.airlight"), ({"background_m": 0}, "weather.background_m"),
+    ({"droplet_m": 0}, "weather.droplet_m"), ({"fog": 1}, "unknown setting 'weather.fog'"),
+])  # fmt: skip
+def test_invalid_weather_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        from_mapping(ChannelSettings, {"weather": change})
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
