@@ -1,4 +1,4 @@
-"""Weather against the equations: extinction, airlight and halo of fog."""
+"""Weather against the equations: extinction, airlight and halo of fog; glare."""
 
 import itertools
 import math
@@ -35,7 +35,7 @@ def array_light(weather: dict[str, Any], **changes: Any) -> NDArray[Any]:
 
 
 def test_weather_is_clear_by_default() -> None:
-    dry = {"airlight": 3.0, "background_m": 2.0, "droplet_m": 1e-6}
+    dry = {"airlight": 3.0, "background_m": 2.0, "droplet_m": 1e-6, "sun_deg": (0.0, 1.0)}
     moving: dict[str, Any] = {"speed_m_s": 20.0, "shake": "road", "duration_s": 0.02, "background": {"kind": "street"}}
     for one, other in zip(shoot({}, **moving), shoot(dry, **moving), strict=True):
         assert np.array_equal(one, other)
@@ -97,9 +97,35 @@ def test_direct_light_and_halo_have_the_light_that_is_not_refracted(changes: dic
     assert fog[180:330, 440:580].sum() < 0.95 * fog.sum()
 
 
+@pytest.mark.parametrize("sun_deg", [(0.0, 10.0), (-15.0, 4.0)])
+def test_glare_falls_with_the_square_of_the_angle_to_the_sun(sun_deg: tuple[float, float]) -> None:
+    image = shoot({"glare": 0.2, "sun_deg": sun_deg}, arrays=[], background={"level": 0.0})[0]
+    assert image[255, 511] == pytest.approx(0.2, abs=1e-3)
+    right, up = np.radians(sun_deg)
+    sun = np.array([np.tan(right), -np.tan(up) / np.cos(right), 1.0])
+    pixels = [(100, 20), (511, 500), (1000, 255)]
+    angles = [angle_deg(sun, np.array([(x - 511.5) / 2916.7, (y - 255.5) / 2916.7, 1.0])) for x, y in pixels]
+    centre = angle_deg(sun, np.array([0.0, 0.0, 1.0]))
+    expected = [0.2 * (centre**2 + 1) / (angle**2 + 1) for angle in angles]
+    assert [image[y, x] for x, y in pixels] == pytest.approx(expected, abs=1e-3)
+
+
+def angle_deg(one: NDArray[Any], other: NDArray[Any]) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other)))
+
+
+def test_glare_adds_shot_noise() -> None:
+    plain: dict[str, Any] = {"arrays": [], "background": {"level": 0.1}, "sensor": {"dark_noise_e": 0, "bits": 12}}
+    noise = []
+    for veil in (0.0, 0.3):
+        first, second = shoot({"glare": veil}, duration_s=2e-3, **plain)
+        noise.append((first - second)[250:260, 400:620].std() / 2**0.5)
+    assert noise == pytest.approx(np.sqrt(np.array([0.1, 0.4]) / 15000).tolist(), rel=0.05)
+
+
 def test_window_is_the_frame_bit_for_bit() -> None:
     changes = {"speed_m_s": 20.0, "shake": "road", "duration_s": 3e-3, "sensor": {}}
-    settings = from_mapping(ChannelSettings, {**STILL, **changes, "weather": FOG})
+    settings = from_mapping(ChannelSettings, {**STILL, **changes, "weather": {**FOG, "glare": 0.1}})
     for window, frame in zip(*(_frames(settings, roi) for roi in (5, None)), strict=True):
         (x, y), (height, width) = window.origin, window.pixels.shape
         assert np.array_equal(window.pixels, frame.pixels[y : y + height, x : x + width])
@@ -115,7 +141,9 @@ def _frames(settings: ChannelSettings, roi: int | None) -> list[Any]:
     ({"visibility_m": 5}, "'weather.visibility_m': input should be greater than or equal to 10"),
     ({"visibility_m": math.inf}, "'weather.visibility_m': input should be a finite number"),
     ({"airlight": -1}, "weather.airlight"), ({"background_m": 0}, "weather.background_m"),
-    ({"droplet_m": 0}, "weather.droplet_m"), ({"fog": 1}, "unknown setting 'weather.fog'"),
+    ({"droplet_m": 0}, "weather.droplet_m"), ({"glare": 5}, "weather.glare"),
+    ({"sun_deg": (0, 100)}, "weather.sun_deg.1"),
+    ({"fog": 1}, "unknown setting 'weather.fog'"),
 ])  # fmt: skip
 def test_invalid_weather_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError) as caught:

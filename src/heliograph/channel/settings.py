@@ -40,6 +40,8 @@ TimeS = Annotated[float, Field(ge=-60, le=3600)]
 
 TiltDeg = Annotated[float, Field(gt=-90, lt=90)]  # tilt of an array in degrees, below an edge-on view at 90
 
+SunDeg = Annotated[float, Field(ge=-90, le=90)]  # angle of the sun from the optical axis in degrees
+
 EXPOSURE_SLACK = 1e-9  # relative excess of the exposure over the frame period or T_b that is a rounding error
 
 MAX_MOTION_PX = 1e3
@@ -372,12 +374,19 @@ class WeatherSettings:
         Distance of the background in m, 1 to 1e6, for the airlight; constant over the film.
     droplet_m
         Diameter of fog droplets in m, 1e-6 to 1e-4. Smaller droplets widen the halo of an array.
+    glare
+        Veil of a low sun at the centre of the picture in full scales, 0 to 4. A larger value adds shot noise.
+    sun_deg
+        Direction of the sun in degrees to the right of the optical axis and above, -90 to 90 each. The veil falls with
+        the square of the angle to the sun.
     """
 
     visibility_m: Annotated[float, Field(ge=10, le=1e6)] | None = None
     airlight: LightLevel = 0.1
     background_m: Annotated[float, Field(ge=1, le=1e6)] = 300.0
     droplet_m: Annotated[float, Field(ge=1e-6, le=1e-4)] = 1e-5
+    glare: LightLevel = 0.0
+    sun_deg: tuple[SunDeg, SunDeg] = (0.0, 10.0)
 
 
 @clear_errors

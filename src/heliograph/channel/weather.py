@@ -1,4 +1,4 @@
-"""Weather: extinction, airlight and forward scatter of fog.
+"""Weather: extinction, airlight and forward scatter of fog; glare of the sun.
 
 Light of luminance L0 at the distance d arrives as L = L0 exp(-sigma d) + L_h (1 - exp(-sigma d)), with the extinction
 sigma in 1/m and the light of the horizon L_h (Koschmieder 1924). Multiple scattering is a halo only, see `scattered`.
@@ -7,8 +7,10 @@ sigma in 1/m and the light of the horizon L_h (Koschmieder 1924). Multiple scatt
 import math
 from typing import TypeVar
 
+import numpy as np
+
 from heliograph.channel.scene import Light
-from heliograph.channel.settings import WeatherSettings
+from heliograph.channel.settings import ChannelSettings, WeatherSettings
 
 DIFFRACTED = 0.5
 """Share of the extinction that droplets much larger than the wavelength diffract forward (van de Hulst 1957)."""
@@ -49,3 +51,19 @@ def scattered(weather: WeatherSettings, distance_m: float) -> tuple[float, float
     theta = math.sqrt(2) * WAVELENGTH_M / (math.pi * weather.droplet_m)
     share = transmission(weather, distance_m) * math.expm1(depth)
     return share, theta * math.sqrt(depth / -math.expm1(-depth) / 3) if depth else 0.0
+
+
+def glare(settings: ChannelSettings) -> Light:
+    """Return the veil of the sun on the sensor in full scales, (rows, columns).
+
+    The veiling luminance of a point source falls as 1 / theta^2 with the angle theta in degrees (Stiles-Holladay, valid
+    from 1 to 30 degrees; CIE 146:2002). 1 / (theta^2 + 1) is finite at the sun. ``glare`` sets the veil at the picture
+    centre, for lens and windscreen together; the disc of the sun, ghosts of the lens and camera shake are omitted.
+    """
+    camera, (right, up) = settings.camera, np.radians(settings.weather.sun_deg)
+    x, y = ((np.arange(size) - (size - 1) / 2) / camera.focal_px for size in (camera.width, camera.height))
+    sun_x, sun_y, sun_z = np.sin(right) * np.cos(up), -np.sin(up), np.cos(right) * np.cos(up)
+    cosine = (sun_x * x + sun_y * y[:, None] + sun_z) / np.sqrt(1 + x**2 + y[:, None] ** 2)
+    theta, centre = (np.degrees(np.arccos(np.clip(value, -1, 1))) for value in (cosine, sun_z))
+    veil: Light = (settings.weather.glare * (centre**2 + 1) / (theta**2 + 1)).astype(np.float32)
+    return veil

@@ -2,8 +2,8 @@
 
 Ranges follow from the mutual information of the symbols in r = A d + n. A has the symbol images as the channel renders
 them, d = +-1, and n is white Gaussian noise. Pose, blur and brightness are known, and the scene is static. A pattern
-and the inverse count as a single observation at half the noise power. Fog dims the array and adds airlight; the budget
-omits the halo.
+and the inverse count as a single observation at half the noise power. Fog dims the array and adds airlight; glare adds
+shot noise as at the picture centre; the budget omits the halo of fog.
 
 ======== ==================================================================================================
 linear   Linear MMSE with higher layers known, the layer and lower layers unknown. A lower bound for receivers
@@ -307,7 +307,7 @@ def _notes(settings: LinkSettings, light: LightSettings, spot: Spot) -> Iterator
 def noise_share(channel: ChannelSettings, all_on: float, distance_m: float = 0.0) -> float:
     """Return the standard deviation of the pixel noise at the mean light of the array, in full scales."""
     sensor, panel = channel.sensor, seen(channel.weather, channel.emitter.panel_level, distance_m)
-    mean_e = sensor.full_well_e * (all_on / 2 + panel)
+    mean_e = sensor.full_well_e * (all_on / 2 + panel + channel.weather.glare)
     # EMVA 1288: sigma^2 = sigma_d^2 + mu_e, and 1/12 DN^2 of quantisation
     return math.sqrt((sensor.dark_noise_e**2 + mean_e) / sensor.full_well_e**2 + 1 / 12 / sensor.full_scale**2)
 
