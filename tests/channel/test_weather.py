@@ -1,4 +1,4 @@
-"""Weather against the equations: extinction, airlight and halo of fog; glare."""
+"""Weather against the equations: extinction, airlight and halo of fog; glare; rain."""
 
 import itertools
 import math
@@ -12,7 +12,15 @@ from heliograph.base.config import from_mapping
 from heliograph.base.errors import SettingsError
 from heliograph.channel.camera import film
 from heliograph.channel.settings import ChannelSettings, WeatherSettings
-from heliograph.channel.weather import DIFFRACTED, WAVELENGTH_M, extinction, scattered, transmission
+from heliograph.channel.weather import (
+    DIFFRACTED,
+    WAVELENGTH_M,
+    Windscreen,
+    common_area,
+    extinction,
+    scattered,
+    transmission,
+)
 
 STILL = {
     "distance_m": 60.0, "speed_m_s": 0, "shake": "none", "duration_s": 1e-3,
@@ -35,7 +43,7 @@ def array_light(weather: dict[str, Any], **changes: Any) -> NDArray[Any]:
 
 
 def test_weather_is_clear_by_default() -> None:
-    dry = {"airlight": 3.0, "background_m": 2.0, "droplet_m": 1e-6, "sun_deg": (0.0, 1.0)}
+    dry = {"airlight": 3.0, "background_m": 2.0, "droplet_m": 1e-6, "sun_deg": (0.0, 1.0), "wiper_s": 0.1}
     moving: dict[str, Any] = {"speed_m_s": 20.0, "shake": "road", "duration_s": 0.02, "background": {"kind": "street"}}
     for one, other in zip(shoot({}, **moving), shoot(dry, **moving), strict=True):
         assert np.array_equal(one, other)
@@ -123,9 +131,70 @@ def test_glare_adds_shot_noise() -> None:
     assert noise == pytest.approx(np.sqrt(np.array([0.1, 0.4]) / 15000).tolist(), rel=0.05)
 
 
+@pytest.mark.parametrize(("rain_mm_h", "db_per_km"), [(1.0, 1.076), (25.0, 9.30)])
+def test_rain_dims_as_carbonneau_and_wisely_measured(rain_mm_h: float, db_per_km: float) -> None:
+    weather = WeatherSettings(rain_mm_h=rain_mm_h, visibility_m=300.0)
+    rain = transmission(weather, 1000.0) / transmission(WeatherSettings(visibility_m=300.0), 1000.0)
+    assert -10 * math.log10(rain) == pytest.approx(db_per_km, rel=1e-3)
+
+
+@pytest.mark.parametrize(("first", "second"), [(3.0, 1.0), (1.0, 3.0), (2.0, 2.5)])
+def test_common_area_of_discs_is_the_area_of_a_grid(first: float, second: float) -> None:
+    x, y = np.meshgrid(*2 * [np.linspace(-4, 4, 1601)])
+    apart = np.array([0.0, 0.7, 1.9, 2.6, 3.9, 9.0])
+    areas = [((x**2 + y**2 < first**2) & ((x - a) ** 2 + y**2 < second**2)).sum() * 0.005**2 for a in apart]
+    assert common_area(apart, first, second) == pytest.approx(areas, abs=0.02)
+
+
+def rainy(**weather: float) -> ChannelSettings:
+    scene = {"speed_m_s": 20.0, "duration_s": 20.0, "stop_m": 1.0, "weather": {"rain_mm_h": 20.0, **weather}}
+    return from_mapping(ChannelSettings, scene)
+
+
+def test_drops_land_at_the_rate_of_the_rain() -> None:
+    settings = rainy(wiper_s=10.0)
+    windscreen = Windscreen(settings, 3)
+    d = np.linspace(0.005, 12, 4000)
+    normal_m_s = 20 * math.sin(math.radians(30)) + 3.78 * d**0.67 * math.cos(math.radians(30))
+    rate = 8000 * np.exp(-4.1 * 20**-0.21 * d) * normal_m_s
+    area = (1024 * 0.2 / 2916.7 + 0.0132) * (512 * 0.2 / 2916.7 + 0.0132)
+    drops = np.concatenate([windscreen._draw(k) for k in range(20)])
+    assert len(drops) == pytest.approx(rate.sum() * (d[1] - d[0]) * area * 200, rel=0.02)
+    mean_mm = (rate * d).sum() / rate.sum()
+    assert drops[:, 3].mean() == pytest.approx(2 ** (1 / 3) * 1e-3 * mean_mm, rel=0.02)
+    assert np.abs(drops[:, 1]).max() < 0.5 * (1024 * 0.2 / 2916.7 + 0.0132)
+
+
+def test_drops_gather_until_the_next_wipe_and_show_airlight() -> None:
+    settings = rainy(wiper_s=0.5, airlight=0.25)
+    windscreen, covered, tinted = Windscreen(settings, 3), [], []
+    for time_s in np.arange(0, 2, 0.01):
+        light, even = np.zeros((512, 1024), np.float32), np.full((512, 1024), 0.25, np.float32)
+        windscreen.look_through(light, (0, 0), float(time_s))
+        windscreen.look_through(even, (0, 0), float(time_s))
+        covered.append(float(light.mean()) / 0.25)
+        tinted.append(float(np.abs(even - 0.25).max()))
+    steps = np.diff(covered)
+    assert max(tinted) < 1e-6
+    after = np.flatnonzero(steps < 0) + 1
+    assert np.diff(after).tolist() == [50, 50, 50]
+    assert max(np.array(covered)[after]) < 0.2 * max(covered)
+    # 130 drops of mean area 0.7 mm^2 in half a second on 40 cm^2
+    assert 0.005 < max(covered) < 0.1
+
+
+def test_a_large_drop_hides_a_point_and_a_small_one_dims_it() -> None:
+    settings = rainy()
+    for radius, least in ((60.0, 0.0), (10.0, 1 - (10 / 23.33) ** 2)):
+        windscreen = Windscreen(settings, 3)
+        windscreen._land(0.0, 0.0, radius)
+        assert windscreen._clear.min() == pytest.approx(least, abs=2e-3)
+        assert windscreen._clear[255, 511 + round(radius + 25)] == 1
+
+
 def test_window_is_the_frame_bit_for_bit() -> None:
     changes = {"speed_m_s": 20.0, "shake": "road", "duration_s": 3e-3, "sensor": {}}
-    settings = from_mapping(ChannelSettings, {**STILL, **changes, "weather": {**FOG, "glare": 0.1}})
+    settings = from_mapping(ChannelSettings, {**STILL, **changes, "weather": {**FOG, "glare": 0.1, "rain_mm_h": 100.0}})
     for window, frame in zip(*(_frames(settings, roi) for roi in (5, None)), strict=True):
         (x, y), (height, width) = window.origin, window.pixels.shape
         assert np.array_equal(window.pixels, frame.pixels[y : y + height, x : x + width])
@@ -141,8 +210,9 @@ def _frames(settings: ChannelSettings, roi: int | None) -> list[Any]:
     ({"visibility_m": 5}, "'weather.visibility_m': input should be greater than or equal to 10"),
     ({"visibility_m": math.inf}, "'weather.visibility_m': input should be a finite number"),
     ({"airlight": -1}, "weather.airlight"), ({"background_m": 0}, "weather.background_m"),
-    ({"droplet_m": 0}, "weather.droplet_m"), ({"glare": 5}, "weather.glare"),
-    ({"sun_deg": (0, 100)}, "weather.sun_deg.1"),
+    ({"droplet_m": 0}, "weather.droplet_m"), ({"rain_mm_h": -1}, "weather.rain_mm_h"),
+    ({"windscreen_m": -1}, "weather.windscreen_m"), ({"wiper_s": 0}, "weather.wiper_s"),
+    ({"glare": 5}, "weather.glare"), ({"sun_deg": (0, 100)}, "weather.sun_deg.1"),
     ({"fog": 1}, "unknown setting 'weather.fog'"),
 ])  # fmt: skip
 def test_invalid_weather_is_refused_in_one_line(change: dict[str, Any], message: str) -> None:

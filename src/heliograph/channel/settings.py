@@ -369,7 +369,7 @@ class WeatherSettings:
     visibility_m
         Meteorological optical range of fog in m, 10 to 1e6, over which light falls to 5 %; left out for clear air.
     airlight
-        Light of the horizon in full scales, 0 to 4: fog at an infinite distance.
+        Light of the horizon in full scales, 0 to 4: fog at an infinite distance, and drops on the windscreen.
     background_m
         Distance of the background in m, 1 to 1e6, for the airlight; constant over the film.
     droplet_m
@@ -379,6 +379,17 @@ class WeatherSettings:
     sun_deg
         Direction of the sun in degrees to the right of the optical axis and above, -90 to 90 each. The veil falls with
         the square of the angle to the sun.
+    rain_mm_h
+        Rain rate in mm/h, 0 to 200. Rain dims distant arrays and wets the windscreen.
+    windscreen_m
+        Distance from lens to windscreen in m, 0 to 2; 0 for no windscreen. Drops appear as discs out of focus.
+    rake_deg
+        Angle of the windscreen from the horizontal in degrees, above 0 to 90.
+    wiper_s
+        Time from wipe to wipe in s, 0.1 to 10. A wipe removes all drops at once.
+    aperture_m
+        Diameter of the lens aperture in m, 1e-4 to 0.5: focal length over f-number, 0.0032 for 35 mm and f/11. A wider
+        aperture dilutes the drops on the windscreen.
     """
 
     visibility_m: Annotated[float, Field(ge=10, le=1e6)] | None = None
@@ -387,6 +398,11 @@ class WeatherSettings:
     droplet_m: Annotated[float, Field(ge=1e-6, le=1e-4)] = 1e-5
     glare: LightLevel = 0.0
     sun_deg: tuple[SunDeg, SunDeg] = (0.0, 10.0)
+    rain_mm_h: Annotated[float, Field(ge=0, le=200)] = 0.0
+    windscreen_m: Annotated[float, Field(ge=0, le=2)] = 0.2
+    rake_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
+    wiper_s: Annotated[float, Field(ge=0.1, le=10)] = 1.0
+    aperture_m: Annotated[float, Field(ge=1e-4, le=0.5)] = 0.0032
 
 
 @clear_errors

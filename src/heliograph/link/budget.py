@@ -2,8 +2,8 @@
 
 Ranges follow from the mutual information of the symbols in r = A d + n. A has the symbol images as the channel renders
 them, d = +-1, and n is white Gaussian noise. Pose, blur and brightness are known, and the scene is static. A pattern
-and the inverse count as a single observation at half the noise power. Fog dims the array and adds airlight; glare adds
-shot noise as at the picture centre; the budget omits the halo of fog.
+and the inverse count as a single observation at half the noise power. Fog and rain dim the array and add airlight;
+glare adds shot noise as at the picture centre; the budget omits the halo of fog and drops on the windscreen.
 
 ======== ==================================================================================================
 linear   Linear MMSE with higher layers known, the layer and lower layers unknown. A lower bound for receivers
