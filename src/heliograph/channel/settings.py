@@ -418,12 +418,12 @@ class ChannelSettings:
         Distance in m to the plane at the end of the film, above 0 and below ``distance_m``. Unused if ``duration_s`` is
         set or the vehicle is at rest.
     speed_m_s
-        Speed of the vehicle in m/s, 0 to 60; 0 for a vehicle at rest. A higher speed increases the shake.
+        Speed of the vehicle in m/s, 0 to 100; 0 for a vehicle at rest. A higher speed increases the shake.
     duration_s
         Length of the film in s, above 0 and at most an hour; by default, the drive to ``stop_m``, or 1 s for a
         vehicle at rest.
     speed_profile
-        Points (time in s, speed in m/s, 0 to 60) at rising times for linear interpolation, in place of ``speed_m_s``.
+        Points (time in s, speed in m/s, 0 to 100) at rising times for linear interpolation, in place of ``speed_m_s``.
     shake
         Motion of the camera: "none", "road" (half-car model on a random road), "imu" (a recorded trace) or "hand" (a
         handheld camera); programs may register others.
@@ -451,9 +451,9 @@ class ChannelSettings:
 
     distance_m: Annotated[float, Field(ge=0.1, le=1e4)] = 80.0
     stop_m: Annotated[float, Field(gt=0, le=1e4)] = 25.0
-    speed_m_s: Annotated[float, Field(ge=0, le=60)] = 30 / 3.6
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 30 / 3.6
     duration_s: Annotated[float, Field(gt=0, le=3600)] | None = None
-    speed_profile: tuple[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(le=60)]], ...] = ()
+    speed_profile: tuple[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(le=100)]], ...] = ()
     shake: Annotated[str, AfterValidator(MOTIONS.check)] = "road"
     hand_deg: Annotated[float, Field(ge=0, le=10)] = 0.3
     road_class: Literal["A", "B", "C", "D"] = "B"
