@@ -237,6 +237,13 @@ def test_a_part_is_hidden_by_something_of_its_own_light() -> None:
     assert not np.isclose(seen[~part], 0.3 * 255, atol=1).any()
 
 
+def test_car_at_100_m_s_passes_the_reference_drive() -> None:
+    settings = ChannelSettings(speed_m_s=100.0, camera=CameraSettings(width=64, height=64))
+    assert frame_count(settings) == 550
+    *_, (_, truth) = shoot(settings, constant(0), roi_margin_px=2)
+    assert truth.arrays[0].distance_m == pytest.approx(80 - 100 * 0.5495, abs=0.01)
+
+
 @pytest.mark.parametrize(("speed", "rate"), [(0, -10), (25, 15)])
 def test_an_array_drives_away(speed: float, rate: float) -> None:
     scene = {**NEAR, "speed_m_s": 10, "distance_m": 30, "duration_s": 0.01, "arrays": [{"vz_m_s": speed}]}
@@ -251,7 +258,7 @@ def test_an_array_drives_away(speed: float, rate: float) -> None:
     ({"camera": {"dropped": 1.0}}, "camera.dropped"), ({"camera": {"repeated": -0.1}}, "camera.repeated"),
     ({"camera": {"jitter_s": -1e-6}}, "camera.jitter_s"),
     ({"camera": {"dropped": 0.6, "repeated": 0.5}}, "below 1 together"),
-    ({"distance_m": 20}, "stop_m is below distance_m"),
+    ({"distance_m": 20}, "stop_m is below distance_m"), ({"speed_m_s": 101}, "speed_m_s': input should be less"),
     ({"speed_profile": [[1, 2], [0, 3]]}, "times of speed_profile rise"),
     ({"speed_profile": [[1, -2]]}, "speeds are at least 0, not -2"),
     ({"emitter": {"diameter_m": 0.03}}, "diameter_m is at most pitch_m"),

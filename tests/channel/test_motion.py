@@ -67,6 +67,13 @@ def test_car_settles_on_a_slope() -> None:
     assert late[2:] == pytest.approx([0, 0])
 
 
+@pytest.mark.parametrize(("speed_m_s", "step_s"), [(30.0, 2e-3), (60.0, 2e-3), (100.0, 1.2e-3)])
+def test_fast_car_samples_the_shortest_wave_of_the_road_twice(speed_m_s: float, step_s: float) -> None:
+    shake = road_shake(Travel(np.zeros(1), np.array([speed_m_s])), np.zeros(1 << 14), 0, 1)
+    assert np.diff(shake.x) == pytest.approx(step_s)  # type: ignore[attr-defined]  # a spline
+    assert speed_m_s * step_s <= 0.25 / 2  # the road has waves down to 0.25 m
+
+
 def test_standing_car_is_not_shaken() -> None:
     settings = ChannelSettings(speed_m_s=0, shake="road", road_class="D")
     pose = motion(settings, None, np.random.default_rng(0))(np.linspace(0, 1, 50))

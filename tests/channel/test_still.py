@@ -43,6 +43,7 @@ def scene_of(**changes: Any) -> FilmScene:
     ({"distance_m": 20.0, "arrays": [FAULTS, {**HIDDEN, "x_m": 0.9}], "camera": {"start_s": 3e-4}}, 4),
     ({"distance_m": 4.0, "arrays": [{"x_m": 0, "y_m": 0, "yaw_deg": 30.0, "pitch_deg": 20.0}]}, None),
     ({"distance_m": 45.0, "arrays": [HIDDEN], "camera": {"psf": "halo"}, "background": {"kind": "synthetic"}}, 4),
+    ({"distance_m": 50.0, "arrays": [FAULTS, {**HIDDEN, "x_m": 1.9}], "weather": {"visibility_m": 100.0}}, None),
 ])  # fmt: skip
 def test_sums_are_the_light_rendered_frame_by_frame(changes: dict[str, Any], roi: int | None) -> None:
     scene = scene_of(**changes)

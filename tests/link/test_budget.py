@@ -43,6 +43,19 @@ def test_array_appears_as_in_the_reference_link(reference: heliograph.Budget) ->
 
 
 @pytest.mark.slow
+def test_fog_dims_the_array_and_leaves_less_information(reference: heliograph.Budget) -> None:
+    fog = heliograph.budget(small(distance_m=50.0, weather={"visibility_m": 100.0, "airlight": 0.4}))
+    assert fog.spot.light == pytest.approx(reference.spot.light * 0.05**0.5, rel=1e-3)
+    panel = 0.02 * 0.05**0.5 + 0.4 * (1 - 0.05**0.5)
+    variance = 40**2 + 15000 * (fog.spot.light / 2 + panel)
+    assert fog.spot.noise == pytest.approx(math.sqrt(variance / 15000**2 + 1 / 12 / 255**2), rel=1e-3)
+    for dim, clear in zip(fog.layers, reference.layers, strict=True):
+        assert dim.range_m <= clear.range_m
+        assert dim.here <= clear.here
+    assert sum(one.here for one in fog.layers) < sum(one.here for one in reference.layers) - 0.03
+
+
+@pytest.mark.slow
 def test_layers_end_in_the_order_of_their_priority(reference: heliograph.Budget) -> None:
     by = {(one.receiver, str(one.mode), one.layer): one for one in reference.layers}
     assert len(by) == 9

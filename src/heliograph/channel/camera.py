@@ -18,6 +18,7 @@ from heliograph.channel.sensor import read_out
 from heliograph.channel.settings import EXPOSURE_SLACK, MAX_JITTER, CameraSettings, ChannelSettings
 from heliograph.channel.truth import NoiseModel, Truth
 from heliograph.channel.views import FilmScene, frame_block, windows
+from heliograph.channel.weather import Windscreen, glare
 
 
 def frame_count(settings: ChannelSettings) -> int:
@@ -64,6 +65,9 @@ def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
     total = frame_count(settings)
     full = np.empty((camera.height, camera.width), np.float32)
     transfer, still = Transfer(camera, scene.seed), StillLight(scene)
+    weather = settings.weather
+    windscreen = Windscreen(settings, scene.seed) if weather.rain_mm_h and weather.windscreen_m else None
+    veil = glare(settings) if weather.glare else None
     for first in range(0, total, 64):  # poses are computed in blocks
         block = frame_block(scene, np.arange(first, min(first + 64, total)))
         parts = windows(block, camera, roi)
@@ -75,6 +79,10 @@ def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
             canvas = Canvas(light, (x, y))
             truths = still.render(block, k, canvas) if static else render(scene, block, k, canvas)
             time_s = float(block.times_s[k, 1])
+            if windscreen is not None:
+                windscreen.look_through(light, (x, y), time_s)
+            if veil is not None:
+                light += veil[y : last_y + 1, x : last_x + 1]
             if camera.gain_swing or camera.white_balance_swing:
                 light *= np.float32(camera.gain(time_s) * surroundings_gain(settings, time_s))
             pixels = read_out(light, settings.sensor, scene.seed, index, (x, y))

@@ -17,7 +17,8 @@ Shake = Callable[[Floats], Floats]  # times (...) in s -> (..., 4): heave in m, 
 
 Motion = Callable[[Floats], CameraPose]  # times in s -> camera poses
 
-STEP_S = 2e-3  # step of the half-car simulation
+STEP_S = 2e-3  # largest step of the half-car simulation
+STEP_ROAD_M = 0.12  # largest step along the road: two samples of the shortest wave of the road
 RUN_IN_S = 5.0  # drive time of the half-car before time 0; the slowest mode decays as exp(-1.76 t)
 
 
@@ -189,10 +190,11 @@ def road_shake(travel: Travel, road: Floats, start_s: float, end_s: float) -> Sh
     """Return heave and pitch of the camera in a half-car on a road as a cubic spline."""
     from scipy.interpolate import CubicSpline
 
-    car, times = HalfCar(), np.arange(start_s - RUN_IN_S, end_s + 0.1, STEP_S)  # to beyond the last exposure
-    distance = travel.distance(times + STEP_S / 2)
+    step_s = min(STEP_S, STEP_ROAD_M / max(float(travel.speed_m_s.max()), 1.0))
+    car, times = HalfCar(), np.arange(start_s - RUN_IN_S, end_s + 0.1, step_s)  # to beyond the last exposure
+    distance = travel.distance(times + step_s / 2)
     axles = [road_height(road, distance + car.front_m), road_height(road, distance - car.rear_m)]
-    q = car.ride(np.stack(axles, -1), STEP_S)
+    q = car.ride(np.stack(axles, -1), step_s)
     zero = np.zeros(len(q))
     # heave of the camera = heave of the body + lever * pitch
     return CubicSpline(times, np.stack([q[:, 0] + car.camera_m * q[:, 1], q[:, 1], zero, zero], -1))

@@ -144,6 +144,12 @@ def _deposit(
 
 
 @compiled()
+def add_gaussian(light: Light, corner: Corner, centre: Pair, sigma: Pair, flux: float, table: Floats) -> None:
+    """Add a Gaussian to a window of the image, in place."""
+    _deposit(light, corner, centre, sigma, flux, np.empty((2, max(light.shape) + 1)), table)
+
+
+@compiled()
 def add_leds(light: Light, corner: Corner, maps: LedMaps, moments: Moments, optics: LedOptics) -> None:
     """Add the light of the LEDs of an array to a window of the image, in place."""
     n, pitch = moments[0].shape[0], optics[0][0]

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.exposure import Lit, Moments
-from heliograph.channel.optics import REACH_SIGMA, add_images, add_leds, cover, normal_table, spots
+from heliograph.channel.optics import REACH_SIGMA, add_gaussian, add_images, add_leds, cover, normal_table, spots
 from heliograph.channel.parts import POINT_SPREADS
 from heliograph.channel.scene import Corner, Light, centre_scale, project
 from heliograph.channel.screen import SAMPLES, add_screen, cell_light
 from heliograph.channel.settings import MAX_MOTION_PX, CameraSettings, ChannelSettings, Colour
 from heliograph.channel.truth import ArrayTruth
 from heliograph.channel.views import ArrayView, FilmScene, FrameBlock, panel_view
+from heliograph.channel.weather import extinction, scattered, seen, transmission
 
 SMEAR_PX = 0.25
 """Largest motion for rendering motion blur by centroid and variance; longer motion is split into pieces. The neglected
@@ -44,8 +45,10 @@ def render(
 ) -> tuple[ArrayTruth, ...]:
     """Render the light of a frame in a window of the sensor."""
     start, middle, end = map(float, block.times_s[k])
-    views, camera = block.views, scene.settings.camera
+    views, camera, weather = block.views, scene.settings.camera, scene.settings.weather
     scene.paint(canvas.light, canvas.corner, middle, block.pose, (k, 1))
+    if extinction(weather):
+        canvas.light[:] = seen(weather, canvas.light, weather.background_m)
     # with a rolling shutter, the row of the array centre determines the patterns
     late = [float(_row_times(camera, view.homography[k, 1, 2] / view.homography[k, 2, 2])) for view in views]
     shown = [lighting.shown(start + t, end + t) for lighting, t in zip(scene.lightings, late, strict=True)]
@@ -63,6 +66,8 @@ def render(
             _add_by_rows(scene, array, view, k, (start, end), canvas)
         elif lit is not None:
             _add_leds(scene, array, view, k, lit, (start, end), canvas)
+    if with_leds:
+        _add_halos(scene, block, k, shown, canvas)
     return tuple(view.truth(k, lit) for view, lit in zip(views, shown, strict=True))
 
 
@@ -79,7 +84,9 @@ def _cover_panel(scene: FilmScene, array: int, view: ArrayView, k: int, canvas: 
         plane, ahead = (view.homography[k] @ moved)[None], np.ones(1, bool)
         obstacle = panel_view(0.5 * (high - low), plane, ahead, view.bounds[k][None], settings.camera.blur_px)
         parts.append((obstacle, 0, place.hidden_level))
-    for panel, row, level in parts:
+    distance_m = float(np.linalg.norm(view.eye[k]))
+    for panel, row, dry in parts:
+        level = seen(settings.weather, dry, distance_m)
         half_x, half_y = panel.half[row].tolist()
         left, top, right, bottom = panel.box[row].tolist()
         box = (left, top, right, bottom)
@@ -160,6 +167,7 @@ def _add_screen(scene: FilmScene, array: int, view: ArrayView, k: int, start_s: 
     inverses /= inverses[:, 2:, 2:]
     cells = cell_light(lighting, emitter, start_s + rows, camera.exposure_s)
     cells *= level_of(settings, array, start_s + camera.exposure_s / 2)
+    cells *= transmission(settings.weather, float(np.linalg.norm(view.eye[k])))
     inverses = (1 - share) * inverses[before] + share * inverses[before + 1]
     psf = POINT_SPREADS[camera.psf](camera)
     add_screen(canvas.light, canvas.corner, box, inverses, cells, emitter.pitch_m, psf)
@@ -170,9 +178,40 @@ def add_array(
 ) -> None:
     """Add the light of the LEDs of an array at a pose to a window, in place."""
     light, late, spread = moments
+    clear = transmission(settings.weather, float(np.linalg.norm(eye)))
     for fraction, shift, optics in spots(settings, plane):
-        parts = (fraction * light, late, spread)
+        parts = (fraction * clear * light, late, spread)
         add_leds(canvas.light, canvas.corner, (shift @ plane, shift @ drift, eye), parts, optics)
+
+
+def _add_halos(scene: FilmScene, block: FrameBlock, k: int, shown: Sequence[Lit | None], canvas: Canvas) -> None:
+    """Add the light that fog scatters forward: a Gaussian for each array, with mean and variance of the lit LEDs."""
+    settings, (start, middle, end) = scene.settings, block.times_s[k].tolist()
+    camera, emitter = settings.camera, settings.emitter
+    for array, (view, lit) in enumerate(zip(block.views, shown, strict=True)):
+        distance_m = float(np.linalg.norm(view.eye[k]))
+        share, angle = scattered(settings.weather, distance_m)
+        if not share or lit is None or not view.ahead[k]:
+            continue
+        level = np.tensordot(lit.end_s - lit.start_s, lit.on, 1).ravel() / (end - start)
+        if not level.any():
+            continue
+        area = float(view.pitch_px[k]) ** 2
+        if emitter.shape == "disc":  # a lobe in place of the cosine of a flat cell
+            cosine, depth_m = -float(view.eye[k, 2]) / distance_m, float(view.homography[k, 2, 2])
+            area = cosine**emitter.lobe_order * (camera.focal_px * emitter.pitch_m / depth_m) ** 2
+        at, _ = project(view.homography[k], led_grid(scene.lightings[array].feed.side, emitter.pitch_m))
+        centre = level @ at / level.sum()
+        x, y = np.sqrt((camera.focal_px * angle) ** 2 + level @ (at - centre) ** 2 / level.sum()).tolist()
+        flux = share * area * level_of(settings, array, middle) * float(level.sum())
+        add_gaussian(canvas.light, canvas.corner, (float(centre[0]), float(centre[1])), (x, y), flux, normal_table())
+
+
+def led_grid(side: int, pitch_m: float) -> Floats:
+    """Return the positions of LEDs row by row, (side^2, 2) in m right and down."""
+    at = (np.arange(side) - (side - 1) / 2) * pitch_m
+    b, a = np.meshgrid(at, at, indexing="ij")
+    return np.stack([a.ravel(), b.ravel()], 1)
 
 
 LedImages = tuple[NDArray[np.float32], NDArray[np.int64]]
@@ -225,14 +264,13 @@ class StillLight:
             if lit is not None and images is not None:
                 levels = level_of(self.scene.settings, array, middle) * lit.moments(start, end)[0]
                 add_images(canvas.light, canvas.corner, levels.astype(np.float32), *images)
+        _add_halos(self.scene, block, k, shown, canvas)
         return tuple(view.truth(k, lit) for view, lit in zip(block.views, shown, strict=True))
 
 
 def led_images(settings: ChannelSettings, plane: Floats, eye: Floats, side: int) -> LedImages:
     """Return the images of the LEDs of a static array."""
-    at = (np.arange(side) - (side - 1) / 2) * settings.emitter.pitch_m
-    b, a = np.meshgrid(at, at, indexing="ij")
-    places, depths = project(plane, np.stack([a.ravel(), b.ravel()], 1))
+    places, depths = project(plane, led_grid(side, settings.emitter.pitch_m))
     # px/m at the nearest LED
     scale = float(np.linalg.norm(centre_scale(plane))) * (float(plane[2, 2]) / float(depths.min())) ** 2
     diameter_px = settings.emitter.diameter_m * scale

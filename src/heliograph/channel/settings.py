@@ -40,6 +40,8 @@ TimeS = Annotated[float, Field(ge=-60, le=3600)]
 
 TiltDeg = Annotated[float, Field(gt=-90, lt=90)]  # tilt of an array in degrees, below an edge-on view at 90
 
+SunDeg = Annotated[float, Field(ge=-90, le=90)]  # angle of the sun from the optical axis in degrees
+
 EXPOSURE_SLACK = 1e-9  # relative excess of the exposure over the frame period or T_b that is a rounding error
 
 MAX_MOTION_PX = 1e3
@@ -359,6 +361,52 @@ class SensorSettings:
 
 @clear_errors
 @dataclass(frozen=True, kw_only=True, config=CONFIG)
+class WeatherSettings:
+    """Weather between arrays and camera, clear by default.
+
+    Attributes
+    ----------
+    visibility_m
+        Meteorological optical range of fog in m, 10 to 1e6, over which light falls to 5 %; left out for clear air.
+    airlight
+        Light of the horizon in full scales, 0 to 4: fog at an infinite distance, and drops on the windscreen.
+    background_m
+        Distance of the background in m, 1 to 1e6, for the airlight; constant over the film.
+    droplet_m
+        Diameter of fog droplets in m, 1e-6 to 1e-4. Smaller droplets widen the halo of an array.
+    glare
+        Veil of a low sun at the centre of the picture in full scales, 0 to 4. A larger value adds shot noise.
+    sun_deg
+        Direction of the sun in degrees to the right of the optical axis and above, -90 to 90 each. The veil falls with
+        the square of the angle to the sun.
+    rain_mm_h
+        Rain rate in mm/h, 0 to 200. Rain dims distant arrays and wets the windscreen.
+    windscreen_m
+        Distance from lens to windscreen in m, 0 to 2; 0 for no windscreen. Drops appear as discs out of focus.
+    rake_deg
+        Angle of the windscreen from the horizontal in degrees, above 0 to 90.
+    wiper_s
+        Time from wipe to wipe in s, 0.1 to 10. A wipe removes all drops at once.
+    aperture_m
+        Diameter of the lens aperture in m, 1e-4 to 0.5: focal length over f-number, 0.0032 for 35 mm and f/11. A wider
+        aperture dilutes the drops on the windscreen.
+    """
+
+    visibility_m: Annotated[float, Field(ge=10, le=1e6)] | None = None
+    airlight: LightLevel = 0.1
+    background_m: Annotated[float, Field(ge=1, le=1e6)] = 300.0
+    droplet_m: Annotated[float, Field(ge=1e-6, le=1e-4)] = 1e-5
+    glare: LightLevel = 0.0
+    sun_deg: tuple[SunDeg, SunDeg] = (0.0, 10.0)
+    rain_mm_h: Annotated[float, Field(ge=0, le=200)] = 0.0
+    windscreen_m: Annotated[float, Field(ge=0, le=2)] = 0.2
+    rake_deg: Annotated[float, Field(gt=0, le=90)] = 30.0
+    wiper_s: Annotated[float, Field(ge=0.1, le=10)] = 1.0
+    aperture_m: Annotated[float, Field(ge=1e-4, le=0.5)] = 0.0032
+
+
+@clear_errors
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
 class ChannelSettings:
     """Channel from LED patterns to camera frames; the defaults are the reference link.
 
@@ -370,12 +418,12 @@ class ChannelSettings:
         Distance in m to the plane at the end of the film, above 0 and below ``distance_m``. Unused if ``duration_s`` is
         set or the vehicle is at rest.
     speed_m_s
-        Speed of the vehicle in m/s, 0 to 60; 0 for a vehicle at rest. A higher speed increases the shake.
+        Speed of the vehicle in m/s, 0 to 100; 0 for a vehicle at rest. A higher speed increases the shake.
     duration_s
         Length of the film in s, above 0 and at most an hour; by default, the drive to ``stop_m``, or 1 s for a
         vehicle at rest.
     speed_profile
-        Points (time in s, speed in m/s, 0 to 60) at rising times for linear interpolation, in place of ``speed_m_s``.
+        Points (time in s, speed in m/s, 0 to 100) at rising times for linear interpolation, in place of ``speed_m_s``.
     shake
         Motion of the camera: "none", "road" (half-car model on a random road), "imu" (a recorded trace) or "hand" (a
         handheld camera); programs may register others.
@@ -395,15 +443,17 @@ class ChannelSettings:
         Noise and gray levels of the image sensor.
     background
         Background of the arrays.
+    weather
+        Weather between arrays and camera.
     custom
         Settings of registered motions, backgrounds and point-spread functions, by name.
     """
 
     distance_m: Annotated[float, Field(ge=0.1, le=1e4)] = 80.0
     stop_m: Annotated[float, Field(gt=0, le=1e4)] = 25.0
-    speed_m_s: Annotated[float, Field(ge=0, le=60)] = 30 / 3.6
+    speed_m_s: Annotated[float, Field(ge=0, le=100)] = 30 / 3.6
     duration_s: Annotated[float, Field(gt=0, le=3600)] | None = None
-    speed_profile: tuple[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(le=60)]], ...] = ()
+    speed_profile: tuple[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(le=100)]], ...] = ()
     shake: Annotated[str, AfterValidator(MOTIONS.check)] = "road"
     hand_deg: Annotated[float, Field(ge=0, le=10)] = 0.3
     road_class: Literal["A", "B", "C", "D"] = "B"
@@ -413,6 +463,7 @@ class ChannelSettings:
     emitter: EmitterSettings = EmitterSettings()
     sensor: SensorSettings = SensorSettings()
     background: BackgroundSettings = BackgroundSettings()
+    weather: WeatherSettings = WeatherSettings()
     custom: Mapping[str, Any] = field(default_factory=dict, hash=False)
 
     @model_validator(mode="after")

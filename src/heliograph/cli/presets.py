@@ -15,7 +15,7 @@ from heliograph.base.toml_text import to_toml
 from heliograph.cli import console, options
 from heliograph.link.settings import PRESETS, LinkSettings, load_settings
 
-UNITS = {"m_s": "m/s", "m": "m", "s": "s", "px": "px", "deg": "degrees", "ppm": "ppm", "e": "electrons",
+UNITS = {"m_s": "m/s", "mm_h": "mm/h", "m": "m", "s": "s", "px": "px", "deg": "degrees", "ppm": "ppm", "e": "electrons",
          "patterns": "patterns", "hz": "Hz", "fps": "frames/s"}  # fmt: skip
 """Units by the ending of a key; a longer ending comes first."""
 

@@ -2,7 +2,8 @@
 
 Ranges follow from the mutual information of the symbols in r = A d + n. A has the symbol images as the channel renders
 them, d = +-1, and n is white Gaussian noise. Pose, blur and brightness are known, and the scene is static. A pattern
-and the inverse count as a single observation at half the noise power.
+and the inverse count as a single observation at half the noise power. Fog and rain dim the array and add airlight;
+glare adds shot noise as at the picture centre; the budget omits the halo of fog and drops on the windscreen.
 
 ======== ==================================================================================================
 linear   Linear MMSE with higher layers known, the layer and lower layers unknown. A lower bound for receivers
@@ -28,6 +29,7 @@ from heliograph.base.threads import one_thread
 from heliograph.channel.render import Canvas, add_array
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.weather import seen, transmission
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
 from heliograph.receive.decode.kernels import sample_cubic
@@ -262,7 +264,7 @@ def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
         electrons_px=electrons_px,
         light=all_on * image.light,
         peak=all_on * float(image.leds.sum((2, 3)).max()),
-        noise=noise_share(channel, all_on * image.light),
+        noise=noise_share(channel, all_on * image.light, distance_m),
         blur_px=blur_px,
         blur_pitches=blur_px / pitch_px,
         lens_px=light.lens_blur_px(channel, distance_m),
@@ -302,10 +304,10 @@ def _notes(settings: LinkSettings, light: LightSettings, spot: Spot) -> Iterator
         yield f"at {spot.distance_m:g} m the array is not in the picture: {x:+.0f}, {y:+.0f} px from the centre"
 
 
-def noise_share(channel: ChannelSettings, all_on: float) -> float:
+def noise_share(channel: ChannelSettings, all_on: float, distance_m: float = 0.0) -> float:
     """Return the standard deviation of the pixel noise at the mean light of the array, in full scales."""
-    sensor = channel.sensor
-    mean_e = sensor.full_well_e * (all_on / 2 + channel.emitter.panel_level)
+    sensor, panel = channel.sensor, seen(channel.weather, channel.emitter.panel_level, distance_m)
+    mean_e = sensor.full_well_e * (all_on / 2 + panel + channel.weather.glare)
     # EMVA 1288: sigma^2 = sigma_d^2 + mu_e, and 1/12 DN^2 of quantisation
     return math.sqrt((sensor.dark_noise_e**2 + mean_e) / sensor.full_well_e**2 + 1 / 12 / sensor.full_scale**2)
 
@@ -445,8 +447,7 @@ class RangeEstimator:
 
     def __init__(self, settings: LinkSettings, all_on: float):
         channel = settings.channel
-        light = all_on * channel.arrays[0].brightness
-        self._snr = light / noise_share(channel, light)
+        self._channel, self._light = channel, all_on * channel.arrays[0].brightness
         # a pitch of 4 px separates the LEDs; nearer arrays have at least the same information
         self._nearest_m = channel.camera.focal_px * channel.emitter.pitch_m / 4.0
         self._images = cache(partial(symbol_images, channel, settings.signal))
@@ -456,7 +457,8 @@ class RangeEstimator:
         """Return the information in bit per coded bit."""
         key = (kind, mode, layer, distance_m)
         if key not in self._information:
-            snr = self._snr * (1.0 if mode == "single" else math.sqrt(2))
+            arrived = self._light * transmission(self._channel.weather, distance_m)
+            snr = self._light / noise_share(self._channel, arrived, distance_m) * (1.0 if mode == "single" else 2**0.5)
             images = self._images(max(distance_m, self._nearest_m))
             self._information[key] = images.information(kind, LAYERS.index(layer), snr)
         return self._information[key]

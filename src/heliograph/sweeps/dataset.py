@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     import xarray
 
 KEY_UNITS = {
-    "_px_s2": "px/s2", "_rad_s": "rad/s", "_m_s": "m/s", "_s2": "s-2", "_m": "m", "_s": "s", "_px": "px",
-    "_deg": "degree", "_rad": "rad", "_ppm": "1e-6", "_dn": "DN", "_e": "electron", "_bytes": "byte", "fps": "Hz",
+    "_px_s2": "px/s2", "_rad_s": "rad/s", "_m_s": "m/s", "_mm_h": "mm/h", "_s2": "s-2", "_m": "m", "_s": "s",
+    "_px": "px", "_deg": "degree", "_rad": "rad", "_ppm": "1e-6", "_dn": "DN", "_e": "electron", "_bytes": "byte",
+    "fps": "Hz",
 }  # fmt: skip
 """Units by the suffix of a setting, longer suffixes first."""
 

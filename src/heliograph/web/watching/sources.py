@@ -39,7 +39,7 @@ class WatchRequest(BaseModel):
     seed: Annotated[int, Field(ge=0, lt=1 << 31)] = 0
     street: bool = True
     distance_m: Annotated[float, Field(ge=5, le=300, allow_inf_nan=False)] | None = None
-    speed_m_s: Annotated[float, Field(ge=0, le=70, allow_inf_nan=False)] | None = None
+    speed_m_s: Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)] | None = None
     receiver: Text | None = None
     rate_hz: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
     changes: Annotated[list[Text], Field(max_length=40)] = []
