@@ -1,5 +1,7 @@
 """Counts of a point, and the stop rule."""
 
+import math
+import statistics
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -35,6 +37,7 @@ class PointTally:
         self.total = BlockCounts()
         self.blocks = 0
         self.seconds = 0.0
+        self._frame_ms: list[float] = []
         self._waiting: dict[int, tuple[BlockCounts, float]] = {}
 
     def add(self, block: int, counts: BlockCounts, seconds: float) -> None:
@@ -45,6 +48,7 @@ class PointTally:
             counts, seconds = self._waiting.pop(self.blocks)
             self.total += counts
             self.seconds += seconds
+            self._frame_ms.append(1e3 * counts.receiver_s / max(counts.frames, 1))
             self.blocks += 1
 
     def has(self, block: int) -> bool:
@@ -83,6 +87,17 @@ class PointTally:
         total = self.total
         return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
 
+    @property
+    def frame_ms(self) -> float:
+        """Processor time of the receiver in ms per frame: median of the blocks, as the first loads compiled code."""
+        return statistics.median(self._frame_ms or [math.nan])
+
+    @property
+    def distance_error(self) -> float | None:
+        """Relative rms error of the distances of received packets; None for no distance."""
+        total = self.total
+        return math.sqrt(total.distance_squares / total.distances) if total.distances else None
+
     def report(self) -> dict[str, Any]:
         """Return the point as plain values for JSON."""
         total = self.total
@@ -95,6 +110,7 @@ class PointTally:
             "false_codewords": total.false_codewords,
             "false_packets": total.false_packets,
             "duplicates": total.duplicates,
+            "distance_error": self.distance_error,
             "film_seconds": round(total.film_s, 9),
             "blocks": self.blocks,
             "stopped_by": self.ending,
