@@ -32,8 +32,10 @@ class StopRule:
 class PointTally:
     """Sum of the blocks of a point in block order, independent of the order of arrival."""
 
-    def __init__(self, point: Point, rule: StopRule):
+    def __init__(self, point: Point, rule: StopRule, may_refuse: bool = False):
         self.point, self.rule = point, rule
+        # True if the receiver may refuse the films, and the error if it does
+        self.may_refuse, self.refusal = may_refuse, ""
         self.total = BlockCounts()
         self.blocks = 0
         self.seconds = 0.0
@@ -51,6 +53,10 @@ class PointTally:
             self._frame_ms.append(1e3 * counts.receiver_s / max(counts.frames, 1))
             self.blocks += 1
 
+    def refuse(self, refusal: str) -> None:
+        """Complete the point without counts."""
+        self.refusal, self.total = refusal, BlockCounts()
+
     def has(self, block: int) -> bool:
         """Return True if a block was added."""
         return block < self.blocks or block in self._waiting
@@ -62,8 +68,10 @@ class PointTally:
 
     @property
     def ending(self) -> str | None:
-        """Reason for completion: "errors", "codewords", "seconds" or "empty"; None if incomplete."""
+        """Reason for completion: "errors", "codewords", "seconds", "empty" or "refused"; None if incomplete."""
         layers, rule = self.total.layers.values(), self.rule
+        if self.refusal:
+            return "refused"
         if all(layer.codeword_errors >= rule.min_errors for layer in layers):
             return "errors"
         if all(self._layer_fraction(layer) >= 1 for layer in layers) or self.blocks >= rule.max_codewords:
