@@ -40,8 +40,15 @@ def block_settings(settings: LinkSettings, max_packets: int | None = None) -> Li
     if max_packets is None and not is_static(settings):
         return settings
     slowest = 1 + 1e-6 * max([0.0, *(p.clock_ppm for p in channel.arrays)])
-    latest = max([channel.camera.start_s, *(p.start_s for p in channel.arrays)])
-    return lasting(settings, latest + (max_packets or 1) * signal.packet_s * slowest)
+    camera, latest = channel.camera, max([channel.camera.start_s, *(p.start_s for p in channel.arrays)])
+    # a receiver refuses fewer frames than patterns of a packet: lost frames take a longer film
+    packets = max_packets or (math.ceil(1.5 / (1 - camera.dropped)) if camera.dropped else 1)
+    end_s = latest + packets * signal.packet_s * slowest
+    if max_packets is None:
+        # to the end of the last frame that begins in the packet; 1e-6: rounding
+        frames = math.ceil((end_s - camera.start_s) / camera.frame_period_s - 1e-6)
+        end_s = max(end_s, camera.start_s + frames * camera.frame_period_s)
+    return lasting(settings, end_s)
 
 
 def lasting(settings: LinkSettings, duration_s: float) -> LinkSettings:
