@@ -68,12 +68,12 @@ def benchmark(
 
 
 def _show(tallies: Sequence[PointTally]) -> None:
-    """Print a row for each scenario and receiver, and the reasons of refusals."""
+    """Print a row for each scenario and receiver, and the first refusal of each receiver."""
     head = ["scenario", "receiver", *LAYERS, "found", "net bit/s", "distance", "ms/frame"]
     console.say_table(head, [[*_row(tally)] for tally in tallies])
-    refusals = {tally.refusal: str(tally.point.choice["receiver"]) for tally in tallies if tally.refusal}
-    for text, name in refusals.items():
-        console.say_prose(f"-: {name} refuses: {text}")
+    refusals = {str(tally.point.choice["receiver"]): tally.refusal for tally in reversed(tallies) if tally.refusal}
+    for name, refusal in refusals.items():
+        console.say_prose(f"-: {name} refuses: {refusal}")
     console.say(f"benchmark {VERSION}, {split(tallies)} split, heliograph {__version__}")
 
 
