@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from heliograph.base.errors import HeliographError, MediaError, SettingsError
     from heliograph.base.frames import Frame
     from heliograph.base.registry import load_parts
+    from heliograph.benchmarks.benchmark import benchmark
     from heliograph.channel.parts import register_background, register_motion, register_point_spread
     from heliograph.datasets.dataset import write_dataset
     from heliograph.link.budget import Budget, budget
@@ -38,6 +39,7 @@ _NAMES = {
     "base.errors": "HeliographError MediaError SettingsError",
     "base.frames": "Frame",
     "base.registry": "load_parts",
+    "benchmarks.benchmark": "benchmark",
     "channel.parts": "register_background register_motion register_point_spread",
     "datasets.dataset": "write_dataset",
     "link.budget": "Budget budget",
@@ -82,6 +84,7 @@ __all__ = [
     "Transmitter",
     "TruthFile",
     "UnmixedColours",
+    "benchmark",
     "budget",
     "convert_film",
     "create_film",

@@ -63,6 +63,24 @@ def test_counts_depend_only_on_settings_and_seed() -> None:
     assert run_block(settings, 6) != one
 
 
+def test_distances_and_processor_time_are_counted() -> None:
+    counts = run_block(link("static", "channel.distance_m=40"), 5)
+    assert counts.distances == counts.packets == 1
+    assert 0 < counts.distance_squares < 0.01**2
+    assert counts.receiver_s > 0
+    missed = run_block(link("static", "channel.distance_m=300"), 5)
+    assert (missed.packets, missed.distances, missed.distance_squares) == (1, 0, 0.0)
+
+
+@pytest.mark.parametrize("changes", [
+    *((f"channel.camera.fps={fps}", f"channel.camera.exposure_s={0.95 / fps}") for fps in (1000, 1300, 2000, 4000)),
+    ("channel.camera.dropped=0.1", "channel.camera.gaps=false"), ("channel.camera.dropped=0.6",),
+], ids=str)  # fmt: skip
+def test_blocks_of_free_running_and_lossy_cameras_have_a_packet(changes: tuple[str, ...]) -> None:
+    phase = ("channel.arrays.0.start_s=0.0003", "channel.arrays.0.clock_ppm=100", "receive.receiver=soft")
+    assert run_block(link("static", "channel.distance_m=40", *phase, *changes), 3).packets >= 1
+
+
 def test_no_codeword_is_sent_twice() -> None:
     settings = block_settings(link("paper", "channel.duration_s=0.5"))
     packets = round(0.5 / settings.signal.packet_s)

@@ -320,6 +320,20 @@ def test_failure_and_other_version_are_one_line(job: Any, message: str, monkeypa
         sweep.count([tally_of()], workers=1)
 
 
+def test_a_refusal_of_a_receiver_is_an_error_unless_the_point_may_have_one() -> None:
+    (point,) = plan(
+        {"channel.camera.fps": [2000]}, "static", merge(SMALL, {"channel": {"camera": {"exposure_s": 4e-4}}})
+    )
+    with pytest.raises(
+        HeliographError, match=r"channel.camera.fps=2000: the plain receiver needs one frame per pattern"
+    ):
+        sweep.count([PointTally(point, FEW)], workers=1)
+    tally = PointTally(point, FEW, may_refuse=True)
+    sweep.count([tally], workers=1)
+    assert (tally.ending, tally.fraction, tally.total) == ("refused", 1.0, BlockCounts())
+    assert tally.refusal.startswith("the plain receiver needs")
+
+
 def imu_point(path: Path, rate: float) -> Point:
     rows = [f"{t / 100},{rate},0,0,10" for t in range(200)]
     path.write_text("\n".join(["t_s,gyro_fwd_rad_s,gyro_right,gyro_down,speed_m_s", *rows]), encoding="utf-8")

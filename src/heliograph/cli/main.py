@@ -25,6 +25,7 @@ COMMANDS = {
     "demo": "Simulate the paper's drive, receive it, and write a report.",
     "serve": "Serve pages to watch a receiver, transmit and receive.",
     "sweep": "Count errors over a grid of settings, without films.",
+    "benchmark": "Compare receivers on named scenarios.",
     "budget": "Calculate light, range and flicker of a planned link.",
     "dataset": "Write labelled films for training.",
     "reproduce": "Run the paper's experiments, and compare the claims.",

@@ -1,7 +1,7 @@
 """Error rates over a grid of settings."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from heliograph.base.errors import HeliographError
@@ -36,10 +36,22 @@ def sweep(
     tallies = [PointTally(point, stop_rule) for point in points]
     for text in filter(None, (size_warning(points), fewer_workers(crew.workers))):
         console.complain(text)
+    count_and_show(tallies, output, crew, as_json, _show)
+
+
+def count_and_show(
+    tallies: Sequence[PointTally],
+    output: Path | None,
+    crew: options.WorkerOptions,
+    as_json: bool,
+    show_table: Callable[[Sequence[PointTally]], None],
+    count: Callable[..., None] = count,
+) -> None:
+    """Count errors and print the results, also after an interruption or an error."""
     logging.disable(logging.CRITICAL)  # hides the messages of lost clusters; an error follows
 
     def show() -> None:
-        console.say_json([tally.report() for tally in tallies]) if as_json else _show(tallies)
+        console.say_json([tally.report() for tally in tallies]) if as_json else show_table(tallies)
 
     try:
         with bar(len(tallies)) as progress:

@@ -4,6 +4,7 @@ The channel renders only windows around the arrays; the pixels are equal to the 
 """
 
 import math
+import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,9 +29,9 @@ def run_block(
     """Simulate, receive and count a block; a function of settings and seed."""
     settings = dithered(block_settings(settings, max_packets), seed)
     film = LiveFilm(settings, random_messages(settings, seed), seed, recordings, window_margin_px(settings))
-    reception = ReceptionCounter(film)
+    reception, began = ReceptionCounter(film), time.process_time()
     deque(receive_and_count(film, settings.signal, settings, reception), maxlen=0)
-    return _counts(reception, settings)
+    return _counts(reception, settings, time.process_time() - began - film.simulation_s)
 
 
 def block_settings(settings: LinkSettings, max_packets: int | None = None) -> LinkSettings:
@@ -39,8 +40,15 @@ def block_settings(settings: LinkSettings, max_packets: int | None = None) -> Li
     if max_packets is None and not is_static(settings):
         return settings
     slowest = 1 + 1e-6 * max([0.0, *(p.clock_ppm for p in channel.arrays)])
-    latest = max([channel.camera.start_s, *(p.start_s for p in channel.arrays)])
-    return lasting(settings, latest + (max_packets or 1) * signal.packet_s * slowest)
+    camera, latest = channel.camera, max([channel.camera.start_s, *(p.start_s for p in channel.arrays)])
+    # a receiver refuses fewer frames than patterns of a packet: lost frames take a longer film
+    packets = max_packets or (math.ceil(1.5 / (1 - camera.dropped)) if camera.dropped else 1)
+    end_s = latest + packets * signal.packet_s * slowest
+    if max_packets is None:
+        # to the end of the last frame that begins in the packet; 1e-6: rounding
+        frames = math.ceil((end_s - camera.start_s) / camera.frame_period_s - 1e-6)
+        end_s = max(end_s, camera.start_s + frames * camera.frame_period_s)
+    return lasting(settings, end_s)
 
 
 def lasting(settings: LinkSettings, duration_s: float) -> LinkSettings:
@@ -101,11 +109,12 @@ def window_margin_px(settings: LinkSettings) -> int:
     return max(12, math.ceil(min(side, settings.receive.detect.max_side_px) / 2))
 
 
-def _counts(reception: ReceptionCounter, settings: LinkSettings) -> BlockCounts:
+def _counts(reception: ReceptionCounter, settings: LinkSettings, receiver_s: float) -> BlockCounts:
     errors = reception.errors
     assert errors is not None
     bins = errors.bins()
     packets, detected = errors.detected()
+    distance_errors = errors.distance_errors()
     arrays = [reception.arrays[n] for n in settings.transmit.identities if n in reception.arrays]
     return BlockCounts(
         layers=pooled(bins.values()),
@@ -118,4 +127,7 @@ def _counts(reception: ReceptionCounter, settings: LinkSettings) -> BlockCounts:
         duplicates=errors.duplicates,
         film_s=reception.frames * settings.channel.camera.frame_period_s,
         frames=reception.frames,
+        distances=len(distance_errors),
+        distance_squares=math.fsum(error**2 for error in distance_errors),
+        receiver_s=max(receiver_s, 0.0),
     )

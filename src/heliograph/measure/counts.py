@@ -130,6 +130,11 @@ class BlockCounts:
     film_s: Amount = 0.0
     # Received frames, dropped frames excluded
     frames: Number = 0
+    # Received packets with a distance, and the sum of their squared relative errors
+    distances: Number = 0
+    distance_squares: Amount = 0.0
+    # Processor time of the receiver in s
+    receiver_s: Amount = field(default=0.0, compare=False)
 
     @property
     def codewords(self) -> int:
@@ -138,7 +143,10 @@ class BlockCounts:
 
     def __add__(self, other: "BlockCounts") -> "BlockCounts":
         starts = dict.fromkeys([*self.bins, *other.bins])
-        numbers = ("packets", "detected", "false_codewords", "false_packets", "duplicates", "film_s", "frames")
+        numbers = (
+            "packets", "detected", "false_codewords", "false_packets", "duplicates", "film_s", "frames", "distances",
+            "distance_squares", "receiver_s",
+        )  # fmt: skip
         return BlockCounts(
             pooled([self.layers, other.layers]),
             {start: pooled(part.bins[start] for part in (self, other) if start in part.bins) for start in starts},

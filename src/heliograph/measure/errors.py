@@ -1,5 +1,6 @@
 """Error counts of received packets by layer and distance."""
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -33,6 +34,8 @@ class _Sent:
     right: int = 0
     # True if the receiver detected the header
     found: bool = False
+    # Relative error of the distance of the best reception, at most 1; NaN for a missed packet
+    distance_error: float = math.nan
 
 
 class ErrorCounter:
@@ -85,6 +88,7 @@ class ErrorCounter:
         self.duplicates += bool(sent.counts)
         if not sent.counts or right > sent.right:
             sent.counts, sent.right = counts, right
+            sent.distance_error = min(1.0, abs(packet.distance_m / sent.distance_m - 1))
 
     def bins(self) -> dict[float, Layers]:
         """Return errors by the lower edge of the distance bin and by layer, near first.
@@ -102,6 +106,10 @@ class ErrorCounter:
         """Return the number of counted packets, and of packets with a detected header or decoded data."""
         found = [bool(sent.counts or sent.found) for _, _, sent in self._counted()]
         return len(found), sum(found)
+
+    def distance_errors(self) -> list[float]:
+        """Return the relative distance errors of the received packets; receivers may state no distance."""
+        return [sent.distance_error for _, _, sent in self._counted() if not math.isnan(sent.distance_error)]
 
     def report(self) -> list[dict[str, Any]]:
         """Return the bins as plain values for JSON."""

@@ -1,5 +1,6 @@
 """Simulated frames and truth in memory, in place of a film and a truth file."""
 
+import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from itertools import islice
@@ -33,12 +34,20 @@ class LiveFilm:
         # blocks of small windows save 15 % of the time by better cache use
         self._ahead = 1 if margin_px is None else 64
         self._truths: deque[FrameTruth] = deque()
+        # Processor time of the simulation in s
+        self.simulation_s = 0.0
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames; the truth of a frame is available before the frame."""
-        while rendered := list(islice(self._rendered, self._ahead)):
+        while rendered := self._render():
             self._truths.extend(_frame_truth(truth) for _, truth in rendered)
             yield from (frame for frame, _ in rendered)
+
+    def _render(self) -> list[tuple[Frame, Truth]]:
+        began = time.thread_time()
+        rendered = list(islice(self._rendered, self._ahead))
+        self.simulation_s += time.thread_time() - began
+        return rendered
 
     def frames(self) -> Iterator[FrameTruth]:
         """Yield the truth of each frame in temporal order."""

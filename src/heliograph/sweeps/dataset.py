@@ -53,6 +53,7 @@ POINT_VALUES = (
     ("false_codewords", "1", "accepted codewords that were not sent"),
     ("false_packets", "1", "received packets that were not sent"),
     ("duplicates", "1", "packets received again"),
+    ("distance_error", "1", "relative rms error of the distance of received packets"),
     ("blocks", "1", "films counted"),
 )
 """Variables of a point: name, unit and meaning."""

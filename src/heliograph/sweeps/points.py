@@ -15,10 +15,11 @@ import heliograph
 from heliograph import __version__
 from heliograph.base import registry
 from heliograph.base.config import from_mapping
-from heliograph.base.errors import MediaError
+from heliograph.base.errors import HeliographError, MediaError
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings, load_footage, load_imu
 from heliograph.measure.bench import run_block
+from heliograph.measure.counts import BlockCounts
 
 
 @dataclass(frozen=True)
@@ -90,12 +91,16 @@ def _code_digest() -> str:
 
 
 def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
-    """Compute a block; return counts as plain values, computing time in s and version."""
+    """Compute a block; return counts as plain values or the error of the link, computing time in s and version."""
     recordings = {name: load_recording(name, Recorded(**recorded)) for name, recorded in work["recordings"].items()}
     settings = from_mapping(LinkSettings, work["settings"])
-    began = time.perf_counter()
-    counts = run_block(settings, work["seed"], Recordings(**recordings))
-    return {"counts": counts.to_plain(), "seconds": time.perf_counter() - began, "version": build()}
+    began, counts, refusal = time.perf_counter(), BlockCounts(), ""
+    try:
+        counts = run_block(settings, work["seed"], Recordings(**recordings))
+    except HeliographError as error:
+        refusal = str(error)
+    seconds = time.perf_counter() - began
+    return {"counts": counts.to_plain(), "refusal": refusal, "seconds": seconds, "version": build()}
 
 
 @lru_cache(maxsize=4)

@@ -74,7 +74,7 @@ def _submit(jobs: Jobs, tallies: Sequence[PointTally], store: Store, workers: Wo
 
 
 def _collect(future: Future[dict[str, Any]], tally: PointTally, block: int, store: Store) -> bool:
-    """Count and store a block; return False if the worker died."""
+    """Count and store a block, or note the refusal of the receiver; return False if the worker died."""
     try:
         result = future.result()
     except BrokenExecutor:
@@ -88,6 +88,11 @@ def _collect(future: Future[dict[str, Any]], tally: PointTally, block: int, stor
         raise HeliographError(f"{tally.point.text}: a worker failed with {type(error).__name__}: {reason}") from error
     if result["version"] != build():
         raise HeliographError(f"a worker has heliograph {result['version']}, not {build()}; install the same on all")
+    if refusal := result["refusal"]:
+        if not tally.may_refuse:
+            raise HeliographError(f"{tally.point.text}: {refusal}")
+        tally.refuse(refusal)
+        return True
     counts = BlockCounts.from_plain(result["counts"])
     store.add(tally.point, block, counts, result["seconds"])
     tally.add(block, counts, result["seconds"])
@@ -195,19 +200,34 @@ def sweep(
     from heliograph.sweeps.dataset import need_xarray, to_dataset
 
     need_xarray()
-    if not isinstance(workers, Integral | None):
-        raise HeliographError(f"workers are a whole number, or None for one a core, not {shown(workers)}")
-    if not isinstance(scheduler, str | None):
-        raise HeliographError(f"a scheduler is an address, such as 'tcp://127.0.0.1:8786', not {shown(scheduler)}")
     rule = StopRule(min_errors=min_errors, max_codewords=max_codewords, max_seconds=max_seconds)
     grid = value_lists(vary)
     points = plan(grid, preset, merge_changes(set), seed, _path(background), _path(imu))
     tallies = [PointTally(point, rule) for point in points]
-    for text in filter(None, (size_warning(points), fewer_workers(workers))):
+    if text := size_warning(points):
         warnings.warn(text, stacklevel=2)
-    with bar(len(tallies), progress) as advance:
-        count(tallies, _path(output), None if scheduler and workers == 1 else workers, scheduler, advance)
+    count_with_bar(tallies, output, workers, scheduler, progress, count)
     return to_dataset(grid, tallies)
+
+
+def count_with_bar(
+    tallies: Sequence[PointTally],
+    output: Path | str | None,
+    workers: int | None,
+    scheduler: str | None,
+    progress: bool | None,
+    count: Callable[..., None],
+) -> None:
+    """Check the arguments of a public function and `count`."""
+    if not isinstance(workers, Integral | None):
+        raise HeliographError(f"workers are a whole number, or None for one a core, not {shown(workers)}")
+    if not isinstance(scheduler, str | None):
+        raise HeliographError(f"a scheduler is an address, such as 'tcp://127.0.0.1:8786', not {shown(scheduler)}")
+    if text := fewer_workers(workers):
+        warnings.warn(text, stacklevel=3)
+    folder = _path(output)
+    with bar(len(tallies), progress) as advance:
+        count(tallies, folder, None if scheduler and workers == 1 else workers, scheduler, advance)
 
 
 def count(

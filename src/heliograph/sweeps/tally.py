@@ -1,5 +1,7 @@
 """Counts of a point, and the stop rule."""
 
+import math
+import statistics
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Annotated, Any
@@ -30,11 +32,14 @@ class StopRule:
 class PointTally:
     """Sum of the blocks of a point in block order, independent of the order of arrival."""
 
-    def __init__(self, point: Point, rule: StopRule):
+    def __init__(self, point: Point, rule: StopRule, may_refuse: bool = False):
         self.point, self.rule = point, rule
+        # True if the receiver may refuse the films, and the error if it does
+        self.may_refuse, self.refusal = may_refuse, ""
         self.total = BlockCounts()
         self.blocks = 0
         self.seconds = 0.0
+        self._frame_ms: list[float] = []
         self._waiting: dict[int, tuple[BlockCounts, float]] = {}
 
     def add(self, block: int, counts: BlockCounts, seconds: float) -> None:
@@ -45,7 +50,12 @@ class PointTally:
             counts, seconds = self._waiting.pop(self.blocks)
             self.total += counts
             self.seconds += seconds
+            self._frame_ms.append(1e3 * counts.receiver_s / max(counts.frames, 1))
             self.blocks += 1
+
+    def refuse(self, refusal: str) -> None:
+        """Complete the point without counts."""
+        self.refusal, self.total = refusal, BlockCounts()
 
     def has(self, block: int) -> bool:
         """Return True if a block was added."""
@@ -58,8 +68,10 @@ class PointTally:
 
     @property
     def ending(self) -> str | None:
-        """Reason for completion: "errors", "codewords", "seconds" or "empty"; None if incomplete."""
+        """Reason for completion: "errors", "codewords", "seconds", "empty" or "refused"; None if incomplete."""
         layers, rule = self.total.layers.values(), self.rule
+        if self.refusal:
+            return "refused"
         if all(layer.codeword_errors >= rule.min_errors for layer in layers):
             return "errors"
         if all(self._layer_fraction(layer) >= 1 for layer in layers) or self.blocks >= rule.max_codewords:
@@ -83,6 +95,17 @@ class PointTally:
         total = self.total
         return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
 
+    @property
+    def frame_ms(self) -> float:
+        """Processor time of the receiver in ms per frame: median of the blocks, as the first loads compiled code."""
+        return statistics.median(self._frame_ms or [math.nan])
+
+    @property
+    def distance_error(self) -> float | None:
+        """Relative rms error of the distances of received packets; None for no distance."""
+        total = self.total
+        return math.sqrt(total.distance_squares / total.distances) if total.distances else None
+
     def report(self) -> dict[str, Any]:
         """Return the point as plain values for JSON."""
         total = self.total
@@ -95,6 +118,7 @@ class PointTally:
             "false_codewords": total.false_codewords,
             "false_packets": total.false_packets,
             "duplicates": total.duplicates,
+            "distance_error": self.distance_error,
             "film_seconds": round(total.film_s, 9),
             "blocks": self.blocks,
             "stopped_by": self.ending,

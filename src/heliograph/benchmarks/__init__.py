@@ -1,0 +1,1 @@
+"""The benchmark: named receivers on named scenarios, with the sweep engine."""

@@ -1,0 +1,126 @@
+"""Error counts of receivers on the scenarios, as a Dataset, files and a figure."""
+
+import secrets
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from heliograph.base.errors import MediaError, SettingsError
+from heliograph.base.files import read_bounded, write_whole
+from heliograph.benchmarks.figure import draw
+from heliograph.benchmarks.scenarios import VERSION, choose_scenarios
+from heliograph.experiments.plots import figure_svg
+from heliograph.receive.registry import RECEIVERS
+from heliograph.sweeps.plan import merge_changes, plan
+from heliograph.sweeps.sweep import PointProgress, count, count_with_bar, silent
+from heliograph.sweeps.tally import PointTally, StopRule
+
+if TYPE_CHECKING:
+    import xarray
+
+
+def benchmark(
+    receivers: Iterable[str] | None = None,
+    scenarios: Iterable[str] = ("small",),
+    *,
+    codewords: int = 50,
+    seed: int | Path | str = 0,
+    workers: int | None = 1,
+    scheduler: str | None = None,
+    output: Path | str | None = None,
+    progress: bool | None = None,
+) -> "xarray.Dataset":
+    """Compare receivers on the scenarios of the benchmark.
+
+    All receivers read the same films. A receiver that refuses the films of a scenario has no counts there.
+
+    Parameters
+    ----------
+    receivers
+        Names of receivers; by default all for arrays, those of `register_receiver` included.
+    scenarios
+        Names of scenarios, or of the sets "small" and "full".
+    codewords
+        Codewords of each layer that complete a scenario.
+    seed
+        0 for the public split. Another number, or the file of a seed, gives a hidden split: other messages, positions,
+        roads and noise. A missing file is created with a random seed.
+    workers, scheduler, output, progress
+        As for `sweep`. The folder `output` also gets the figure ``benchmark.svg``.
+
+    Returns
+    -------
+    Dataset with the dimensions "scenario", "receiver" and "layer", the variables of `sweep`, and the processor time
+    of the receiver, ``frame_ms``. The attributes name the split and the version of the benchmark.
+
+    Raises
+    ------
+    HeliographError
+        A scenario or receiver is unknown, the file holds no seed, or xarray is not installed.
+    """
+    from heliograph.sweeps.dataset import need_xarray, to_dataset
+
+    need_xarray()
+    number = read_seed(Path(seed)) if isinstance(seed, Path | str) else seed
+    tallies = plan_benchmark(scenarios, receivers, number, codewords)
+    count_with_bar(tallies, output, workers, scheduler, progress, count_benchmark)
+    keys = {key: list(dict.fromkeys(tally.point.choice[key] for tally in tallies)) for key in ("scenario", "receiver")}
+    data = to_dataset(keys, tallies)
+    frame_ms = np.reshape([tally.frame_ms for tally in tallies], data.packets.shape)
+    attributes = {"units": "ms", "long_name": "processor time of the receiver per frame, median of the films"}
+    title = f"Heliograph benchmark {VERSION}, {split(tallies)} split"
+    return data.assign(frame_ms=(data.packets.dims, frame_ms, attributes)).assign_attrs(
+        title=title, benchmark=VERSION, split=split(tallies)
+    )
+
+
+def plan_benchmark(
+    scenarios: Iterable[str], receivers: Iterable[str] | None, seed: int, codewords: int
+) -> list[PointTally]:
+    """Return a tally for each scenario and receiver."""
+    names = [name for name in RECEIVERS.names() if name != "screen"] if receivers is None else receivers
+    # all receivers read the same films: errors complete no point
+    rule = StopRule(min_errors=sys.maxsize, max_codewords=codewords)
+    return [
+        PointTally(replace(point, choice={"scenario": name, **point.choice}), rule, may_refuse=True)
+        for name, scenario in choose_scenarios(scenarios).items()
+        for point in plan({"receiver": names}, scenario.preset, merge_changes(scenario.changes), seed)
+    ]
+
+
+def count_benchmark(
+    tallies: Sequence[PointTally],
+    output: Path | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: PointProgress = silent,
+) -> None:
+    """Count as `sweep` does, and draw the figure, also after an interruption."""
+    try:
+        count(tallies, output, workers, scheduler, progress)
+    finally:
+        if output is not None and any(tally.blocks for tally in tallies):
+            write_whole(output / "benchmark.svg", figure_svg(draw(tallies)))
+
+
+def split(tallies: Sequence[PointTally]) -> str:
+    """Return the name of the split."""
+    return "hidden" if tallies[0].point.seed else "public"
+
+
+def read_seed(file: Path) -> int:
+    """Return the seed in a file; create a missing file with a random seed."""
+    try:
+        if not file.exists():
+            write_whole(file, b"%d\n" % secrets.randbelow(1 << 63))
+        return int(read_bounded(file, 100))
+    except ValueError:
+        raise SettingsError(f"{file} holds no seed; write a whole number into it, or name a new file") from None
+    except MediaError:
+        raise
+    except OSError as error:
+        raise MediaError(f"cannot read the seed {file}: {error.strerror or error}") from None

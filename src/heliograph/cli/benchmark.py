@@ -1,0 +1,91 @@
+"""Comparison of receivers on named scenarios."""
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from heliograph import __version__
+from heliograph.base.workers import limit_threads
+from heliograph.benchmarks.benchmark import count_benchmark, plan_benchmark, read_seed, split
+from heliograph.benchmarks.scenarios import VERSION, choose_scenarios
+from heliograph.cli import console, options
+from heliograph.cli.options import option
+from heliograph.cli.sweep import count_and_show
+from heliograph.measure.statistics import Count
+from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.executors import fewer_workers
+from heliograph.sweeps.tally import PointTally
+
+
+def complete_scenario(start: str) -> list[tuple[str, str]]:
+    """Return scenarios and summaries for shell completion."""
+    return [(name, kind.summary) for name, kind in choose_scenarios(["full"]).items() if name.startswith(start)]
+
+
+@options.command
+def benchmark(
+    *,
+    scenarios: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENARIO ...]",
+            help="Scenarios, or the sets small and full; default: small. See --list.",
+            autocompletion=complete_scenario,
+        ),
+    ] = None,
+    receiver: list[str] | None = option(
+        "Receiver to compare; may be repeated. Default: all for arrays, with those of --load.",
+        "NAME",
+        autocompletion=options.complete_receiver,
+    ),
+    list_only: bool = option("List the scenarios and exit.", None, "--list", default=False),
+    codewords: int = option("Codewords of each layer that complete a scenario.", default=50, min=1),
+    seed_file: Path | None = option(
+        "File of the seed of a hidden split; a missing file is created with a random seed. Default: the public split.",
+        "FILE",
+    ),
+    crew: options.WorkerOptions,
+    output: Path | None = option("Folder for results and figure. A stopped run continues from this folder.", "DIR"),
+    as_json: options.JsonList = False,
+) -> None:
+    """Compare receivers on named scenarios.
+
+    Prints wrong and sent codewords of each layer with the 95 % interval of the error rate.
+    """
+    if list_only:
+        for name, scenario in choose_scenarios(["full"]).items():
+            console.say(f"{name:16}  {'small' if scenario.is_small else '':5}  {scenario.summary}")
+        return
+    limit_threads()
+    seed = 0 if seed_file is None else read_seed(seed_file)
+    tallies = plan_benchmark(scenarios or ["small"], receiver or None, seed, codewords)
+    if fewer := fewer_workers(crew.workers):
+        console.complain(fewer)
+    count_and_show(tallies, output, crew, as_json, _show, count_benchmark)
+
+
+def _show(tallies: Sequence[PointTally]) -> None:
+    """Print a row for each scenario and receiver, and the first refusal of each receiver."""
+    head = ["scenario", "receiver", *LAYERS, "found", "net bit/s", "distance", "ms/frame"]
+    console.say_table(head, [[*_row(tally)] for tally in tallies])
+    refusals = {str(tally.point.choice["receiver"]): tally.refusal for tally in reversed(tallies) if tally.refusal}
+    for name, refusal in refusals.items():
+        console.say_prose(f"-: {name} refuses: {refusal}")
+    console.say(f"benchmark {VERSION}, {split(tallies)} split, heliograph {__version__}")
+
+
+def _row(tally: PointTally) -> Iterator[str]:
+    yield from map(str, tally.point.choice.values())
+    yield from ("-" if tally.refusal else _count_text(layer.words) for layer in tally.total.layers.values())
+    yield "-" if tally.refusal else f"{tally.total.detected}/{tally.total.packets}"
+    yield "-" if tally.net_bits_per_second is None else f"{tally.net_bits_per_second:.0f}"
+    yield "-" if tally.distance_error is None else f"{100 * tally.distance_error:.2g} %"
+    yield "-" if math.isnan(tally.frame_ms) else f"{tally.frame_ms:.2g}"
+
+
+def _count_text(words: Count) -> str:
+    low, high = words.interval()
+    return f"{words.errors}/{words.trials} ({100 * low:.3g} to {100 * high:.3g} %)" if words.trials else "no data"
