@@ -254,7 +254,7 @@ async function keep(name: string): Promise<void> {
 function showCounts(): void {
   if (camera === null) return;
   const { seen, sent, unsent } = camera.counts;
-  const slow = unsent > 0 ? `; ${unsent} not sent, as the network or the server was too slow: choose a smaller picture` : "";
+  const slow = unsent > 0 ? `; ${unsent} not sent, as the network or the server was too slow: under Advanced, choose a smaller Camera picture` : "";
   one("counts", HTMLElement).textContent = `${seen} frames seen, ${sent} sent${slow}.`;
 }
 
