@@ -96,6 +96,10 @@ def test_film_without_a_fault_has_no_cause_but_unread(side: int, rate_hz: float,
     assert "follow a clock" in found.regions[0].causes[0].why
 
 
+def test_data_without_a_header_are_not_weak() -> None:
+    assert not {"glare", "exposure"} & set(kinds(probed(good()[30:62])))
+
+
 def test_uneven_patterns_have_no_clock() -> None:
     rng = np.random.default_rng(3)
     numbers = np.cumsum(rng.choice([1, 1, 2, 4], 210))

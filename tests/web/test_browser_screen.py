@@ -121,7 +121,8 @@ def test_full_screen_begins_with_an_instruction_and_counts_packets(chromium: Bro
         page.click("#full")
         instruction = page.locator("#instruction")
         expect(instruction).to_have_text(
-            "Film this screen with your phone, held still, for 10 s. Esc stops and returns to the page."
+            "Film this screen with your phone, held still, for 10 s, or point a webcam at it: page Receive, “Start the "
+            "camera”. Esc stops and returns to the page."
         )
         expect(instruction).to_be_visible()
         check_accessibility(page)

@@ -26,6 +26,7 @@ from heliograph.receive.packet import Packet
 from heliograph.receive.screen.receiver import ScreenReceiver
 from heliograph.signal.settings import SignalSettings
 from heliograph.web.camera_frames import HEAD, MAX_WAITING, CameraFrames
+from heliograph.web.crashes import GoneError
 from heliograph.web.failures import FailureRecorder
 from heliograph.web.link_estimate import LinkRequest
 from heliograph.web.outline import OutlineFinder
@@ -140,6 +141,7 @@ def test_diagnosis_and_film_follow_a_camera_without_packets(client: TestClient, 
     assert frames > 2 * signal.packet_s * 10
     why = next(row for row in told if row["event"] == "why")
     assert why["lines"]
+    assert [row["event"] for row in told].count("early") == 1
     assert 0 < why["bytes"] < 50_000_000
     assert [row["event"] for row in rest[-2:]] == ["bundle", "end"]
 
@@ -203,6 +205,41 @@ def test_likely_reason_comes_first(client: TestClient, tmp_path: Path, sharp_fra
     assert next(row["lines"] for row in rows[1:] if row["event"] == "why")
     rows = rows_of_film(client, tmp_path / "sharp.mp4", sharp_frames, SMALL)
     assert (rows[0], [row["event"] for row in rows].count("early")) == ({"event": "early", "lines": []}, 1)
+
+
+@pytest.mark.parametrize(
+    ("phone", "reason"),
+    [
+        (replace(SMALL, gain=0.005, noise=0.5), "Exposure: the patterns are dark"),
+        (replace(SMALL, gain=8.0), "Exposure: 74 % of the patterns are white blots"),
+        (replace(SMALL, blur_px=6.5), "Focus:"),
+        (replace(SMALL, side_px=0.1), "Sight: no area changes"),
+        (SMALL, ""),
+    ],
+    ids=["dark", "burnt", "blurred", "no screen", "none"],
+)
+def test_likely_reason_of_a_camera_comes_within_five_seconds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phone: Phone, reason: str
+) -> None:
+    monkeypatch.setattr("heliograph.web.camera_frames.MAX_WAITING", 1000)
+    camera, rows = CameraFrames(), Rows()
+    frames = list(phone_frames(grabs(seconds=5.0), phone))
+    for k, (time_s, pixels) in enumerate(frames):
+        camera.put(message(time_s, pixels, k))
+
+    def tell(row: Mapping[str, Any]) -> None:
+        rows.append(row)
+        if row["event"] == "early":
+            raise GoneError  # ends the reception
+
+    request = LinkRequest()
+    recorder = FailureRecorder(tmp_path, request.default_link.signal)
+    reader = PageReader(request, tell, recorder, Store(1, "", StoredFilm.drop))
+    with contextlib.suppress(GoneError):
+        reader.read_camera(camera)
+    assert rows[-1]["event"] == "early"
+    assert [line[: len(reason)] for line in rows[-1]["lines"]] == [reason] * bool(reason)
+    assert frames[[row["event"] for row in rows].count("took")][0] < 5.0
 
 
 @pytest.mark.parametrize("side_px", [60, 120, 200])

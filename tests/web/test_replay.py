@@ -4,8 +4,10 @@ import json
 import re
 import subprocess
 import sys
+from base64 import b64encode
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -73,6 +75,27 @@ def test_run_plays_in_a_browser_without_a_server(tmp_path: Path, chromium: Brows
         page.get_by_role("button", name="End tour").click()
         page.get_by_role("button", name="Play").click()
         expect(where).to_contain_text("0.299 s")
+
+
+@needs_chromium
+@pytest.mark.slow
+def test_caption_names_the_first_completion_of_a_picture(tmp_path: Path, chromium: Browser) -> None:
+    log = ReplayLog(SignalSettings(), ReceiveSettings(), ReceptionCounter(None))
+    for k, level in enumerate((90, 160, 90)):  # the third picture is the first one again
+        picture = cv2.imencode(".png", np.full((8, 8), level, np.uint8))[1].tobytes()
+        log.frame(Frame(k, float(k), np.zeros((48, 64), np.uint8)))
+        packet = {"event": "packet", "id": 0, "time_s": float(k), "status": "ok", "distance_m": 60.0 - 10 * k}
+        log.tell({**packet, "approach_m_s": None, "layers": {}})
+        message = {"event": "message", "id": 0, "layer": "low", "stream": 0, "bytes": len(picture)}
+        log.tell({**message, "data": b64encode(picture).decode()})
+    (tmp_path / "run.html").write_text(log.page(), encoding="utf-8")
+    with quiet_page(chromium, (tmp_path / "run.html").as_uri()) as page:
+        caption, step = page.locator("#picture figcaption"), page.get_by_role("button", name="Next frame")
+        expect(caption).to_contain_text("complete at 0.00 s, 60 m away: picture 1, ")
+        step.click()
+        expect(caption).to_contain_text("complete at 1.00 s, 50 m away: picture 2, ")
+        step.click()
+        expect(caption).to_contain_text("complete at 0.00 s, 60 m away: picture 1, ")
 
 
 @needs_chromium

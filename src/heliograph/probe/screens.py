@@ -161,8 +161,8 @@ class ScreenMeasures(RegionMeasures):
     percent = property(lambda self: 100 * self.light)
     # 0.34 is decoded in good light, of 0.8 an eighth
     is_burnt = property(lambda self: self.region.saturated > 0.25)
-    # in a lit room the array has half of full scale
-    is_weak = property(lambda self: self.light < 0.2)
+    # in a lit room the array has half of full scale; without header, data that are decoded have a contrast of 0.06
+    is_weak = property(lambda self: self.light < (0.2 if self.is_reliable else 0.05))
     is_bright = property(lambda self: np.mean(self.region.brightness) / self.full_scale > 0.5)
     # the changing area is larger than the array due to motion of the hand: 20 px to either side have a ratio of 0.82,
     # 12 px have 0.88

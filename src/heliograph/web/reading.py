@@ -9,6 +9,8 @@ from math import ceil, sqrt
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from heliograph.base.errors import HeliographError, MediaError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
@@ -30,8 +32,8 @@ WINDOW_S, WINDOW_BYTES = 7.0, 160 << 20
 PATIENCE_S = 12.0  # waiting time in s for a codeword before a diagnosis and a new estimate: three packets
 PROBE_FRAMES = 128  # frames of a diagnosis: some seconds of computing
 
-EARLY_S, EARLY_FRAMES = 2.0, 32
-"""First frames of a film for the early diagnosis."""
+EARLY_S, EARLY_FRAMES = 3.5, 32
+"""Time of a camera before the early diagnosis, a packet and its header, and number of frames: a second of computing."""
 
 EARLY_OMITTED = ("Short:", "Lost frames:", "Cells:", "Unread:")  # findings that require more frames or an estimate
 
@@ -69,7 +71,8 @@ class PageReader:
             if is_retry and (self._request.side is not None or not self._reception.arrays):
                 continue
             with open_film(path, expand_range=True, binning=binning) as film:
-                window = self._first_window(film)
+                window = [*_first_frames(film)]
+            self._explain_early(window)
             settings = estimate_link(window, self._request, self._tell, rejected_sides if is_retry else ())
             if is_retry and settings.signal.side in rejected_sides:
                 continue
@@ -84,18 +87,6 @@ class PageReader:
             is_complete = self._reception.frames <= min(len(window), PROBE_FRAMES)
             self._explain(window, settings, () if is_complete else ("Short:",))
         self._finish()
-
-    def _first_window(self, film: FilmReader) -> list[Frame]:
-        """Return the first frames of a film, and report likely causes of a failure from some of them."""
-        window = list[Frame]()
-        for frame in _first_frames(film):
-            window.append(frame)
-            is_enough = len(window) == EARLY_FRAMES or frame.time_s - window[0].time_s > EARLY_S
-            if is_enough and not self._has_early_diagnosis:
-                self._has_early_diagnosis = True
-                lines = _causes(window, self._request.default_link, EARLY_OMITTED)
-                self._tell({"event": "early", "lines": lines})
-        return window
 
     def read_camera(self, camera: CameraFrames) -> None:
         """Read a camera; estimate the link again if no codeword is decoded for `PATIENCE_S`."""
@@ -138,13 +129,15 @@ class PageReader:
 
     def _wait_for_light(self, frames: Iterator[Frame]) -> list[Frame]:
         """Return the first frames that show a light, or the last frames of the camera."""
-        window, next_s, explain_s = list[Frame](), 0.0, 0.0
+        window, early_s, next_s, explain_s = list[Frame](), 0.0, 0.0, 0.0
         for frame in frames:
             if not window:
-                next_s, explain_s = frame.time_s + WINDOW_S, frame.time_s + PATIENCE_S
+                early_s, next_s, explain_s = (frame.time_s + wait_s for wait_s in (EARLY_S, WINDOW_S, PATIENCE_S))
             elif frame.index - window[-1].index > 8:  # a gap of a quarter of a second
                 window.clear()
             window.append(frame)
+            if frame.time_s >= early_s and len(window) >= EARLY_FRAMES // 2:
+                self._explain_early(window)
             while window[-1].time_s - window[0].time_s > WINDOW_S or len(window) * frame.pixels.size > WINDOW_BYTES:
                 window.pop(0)
             if frame.time_s < next_s:
@@ -152,7 +145,7 @@ class PageReader:
             next_s = frame.time_s + 2.0
             if shows_light(window, self._request):
                 break
-            self._tell({"event": "light", "rate_hz": None})
+            self._tell({"event": "no light"})
             if frame.time_s >= explain_s:
                 explain_s = frame.time_s + PATIENCE_S
                 self._explain(window[-PROBE_FRAMES:], self._request.default_link)
@@ -185,6 +178,17 @@ class PageReader:
         ):
             journal.read(packet, messages, reception.progress)
             self._recorder.add_packet(packet)
+
+    def _explain_early(self, frames: list[Frame]) -> None:
+        """Report likely causes of a failure once, from the frames that change most: a header shows the most light."""
+        if not self._has_early_diagnosis:
+            self._has_early_diagnosis = True
+            reduced = np.array([frame.pixels[::4, ::4] for frame in frames], np.float32)
+            changes = np.abs(np.diff(reduced, axis=0)).mean((1, 2))
+            starts = range(max(1, len(frames) - EARLY_FRAMES))
+            start = max(starts, key=lambda k: changes[k : k + EARLY_FRAMES].sum())
+            lines = _causes(frames[start : start + EARLY_FRAMES], self._request.default_link, EARLY_OMITTED)
+            self._tell({"event": "early", "lines": lines})
 
     def _explain(
         self, frames: list[Frame], settings: LinkSettings, omitted: tuple[str, ...] = ("Short:", "Lost frames:")

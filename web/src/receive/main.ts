@@ -39,6 +39,9 @@ function say(text: string): void {
   if (state.textContent !== text) state.textContent = text;
 }
 
+/** True after a search for patterns that failed. */
+let isDark = false;
+
 /** Number of the newest reception; rows and errors of older receptions are ignored. */
 let turn = 0;
 
@@ -48,6 +51,7 @@ function begin(words: string): number {
   notice.clear();
   results.clear();
   showWhy([]);
+  isDark = false;
   bundle = null;
   one("counts", HTMLElement).textContent = "";
   saveButton.textContent = "Save what failed";
@@ -89,7 +93,13 @@ function progress(part: number | null): void {
 function take(row: Row): void {
   results.take(row);
   switch (row.event) {
+    case "no light":
+      isDark = true;
+      say("No patterns found yet: point the camera at the screen.");
+      break;
     case "light":
+      if (isDark) showWhy([]); // reasons from frames without patterns
+      isDark = false;
       say(lightWords(row));
       break;
     case "trying":
@@ -149,7 +159,7 @@ function take(row: Row): void {
 }
 
 function lightWords({ rate_hz: rate, side }: Row & { event: "light" }): string {
-  if (rate === null && !side) return camera === null ? "No patterns found yet." : "No patterns found yet: point the camera at the screen.";
+  if (rate === null && !side) return "No patterns found yet.";
   const shown = [...(rate === null ? [] : [`${Number(rate.toFixed(2))} patterns per second`]), ...(side ? [`${side} × ${side} cells`] : [])];
   return `The screen shows ${shown.join(", ")}. Reading …`;
 }
@@ -254,7 +264,7 @@ async function keep(name: string): Promise<void> {
 function showCounts(): void {
   if (camera === null) return;
   const { seen, sent, unsent } = camera.counts;
-  const slow = unsent > 0 ? `; ${unsent} not sent, as the network or the server was too slow: choose a smaller picture` : "";
+  const slow = unsent > 0 ? `; ${unsent} not sent, as the network or the server was too slow: under Advanced, choose a smaller Camera picture` : "";
   one("counts", HTMLElement).textContent = `${seen} frames seen, ${sent} sent${slow}.`;
 }
 

@@ -13,7 +13,7 @@ export type Row =
   | { event: "trying"; side: number }
   | { event: "progress"; frames: number; of: number | null }
   | { event: "took"; frames: number; dropped: number }
-  | { event: "asking why" }
+  | { event: "no light" | "asking why" }
   | { event: "early"; lines: string[] }
   | { event: "why"; lines: string[]; bytes: number }
   | { event: "outline"; corners: number[] }

@@ -299,7 +299,7 @@ function showInstruction(): void {
   clearTimeout(instructionTimer);
   instruction.hidden = !isFull || facts === null;
   if (facts === null || !isFull) return;
-  instruction.textContent = `Film this screen with your phone, held still, for ${filmTime(facts)}. Esc stops and returns to the page.`;
+  instruction.textContent = `Film this screen with your phone, held still, for ${filmTime(facts)}, or point a webcam at it: page Receive, “Start the camera”. Esc stops and returns to the page.`;
   instructionTimer = setTimeout(() => { instruction.hidden = true; }, INSTRUCTION_MS);
 }
 

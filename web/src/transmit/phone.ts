@@ -7,7 +7,7 @@ export async function showPhone(): Promise<void> {
   const { url, code } = (await (await ask("transmit/phone")).json()) as { url: string; code: string };
   const text = one("phone", HTMLElement);
   if (url === "") {
-    text.append(" To open it on the phone, end the server by Ctrl-C and start it with ", make("code", {}, "heliograph serve --host 0.0.0.0"), ".");
+    text.append("To open page Receive on the phone, end the server by Ctrl-C and start it with ", make("code", {}, "heliograph serve --host 0.0.0.0"), ".");
     return;
   }
   const image = one("code", HTMLImageElement);

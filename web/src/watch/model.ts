@@ -6,7 +6,7 @@ type Of<E extends Row["event"]> = Extract<Row, { event: E }>;
 
 const MOST_LISTED = 60;
 
-/** Newest picture, and the packet that completed it. */
+/** A picture, and the packet that completed it first. */
 export interface Picture { data: string; bytes: number; count: number; packet: Of<"packet"> | undefined }
 
 export interface Model {
@@ -20,6 +20,7 @@ export interface Model {
   lights: Of<"lights"> | null;
   maps: Map<number, Junction>;
   picture: Picture | null;
+  pictures: Map<string, Picture>;
   arrays: ArrayCounts[];
   errors: Bin[] | null;
   falseCodewords: number;
@@ -29,7 +30,7 @@ export interface Model {
 export function empty(): Model {
   return {
     source: null, packets: [], messages: [], unfinished: [], files: new Map(), approach: new Map(), light: null,
-    lights: null, maps: new Map(), picture: null, arrays: [], errors: null, falseCodewords: 0, state: null,
+    lights: null, maps: new Map(), picture: null, pictures: new Map(), arrays: [], errors: null, falseCodewords: 0, state: null,
   };
 }
 
@@ -50,13 +51,15 @@ function message(model: Model, row: Of<"message">): void {
   if (old >= 0) model.messages.splice(old, 1);
   kept(model.messages, row);
   if (row.road?.kind === "MAPEM") for (const junction of row.road.junctions) model.maps.set(junction.id, junction);
-  if (row.data !== undefined && row.data !== model.picture?.data && pictureType(row.data) !== null && row.bytes >= (model.picture?.bytes ?? 0)) {
-    model.picture = picture(model, row, row.data);
+  if (row.data !== undefined && pictureType(row.data) !== null && row.bytes >= (model.picture?.bytes ?? 0)) {
+    show(model, row, row.data);
   }
 }
 
-function picture(model: Model, { id, bytes }: { id: number; bytes: number }, data: string): Picture {
-  return { data, bytes, count: (model.picture?.count ?? 0) + 1, packet: model.packets.find((one) => one.id === id) };
+/** Shows a picture; one that is sent again keeps its first packet. */
+function show(model: Model, { id, bytes }: { id: number; bytes: number }, data: string): void {
+  model.picture = model.pictures.get(data) ?? { data, bytes, count: model.pictures.size + 1, packet: model.packets.find((one) => one.id === id) };
+  model.pictures.set(data, model.picture);
 }
 
 /** Takes a row into the model; those of commands and of the end are no part of it. */
@@ -68,7 +71,7 @@ export function apply(model: Model, row: Row): void {
     case "unfinished": model.unfinished = row.messages; break;
     case "file":
       model.files.set(row.file, row);
-      if (row.whole && row.data !== undefined && pictureType(row.data) !== null) model.picture = picture(model, row, row.data);
+      if (row.whole && row.data !== undefined && pictureType(row.data) !== null) show(model, row, row.data);
       break;
     case "light": model.light = row; break;
     case "lights": model.lights = row; break;
