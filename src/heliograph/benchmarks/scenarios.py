@@ -63,7 +63,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     ),
     "drive-two": Scenario("the drive past two arrays", preset="two-arrays"),
     "motorway": Scenario("120 m to 25 m at 100 km/h, road of class A", preset="motorway", is_small=True),
-    "motorway-216": Scenario("120 m to 25 m at 216 km/h", {"channel.speed_m_s": 60}, "motorway"),
+    "motorway-360": Scenario("120 m to 25 m at 360 km/h", {"channel.speed_m_s": 100}, "motorway"),
     "crossing": Scenario("a camera passes a turned array, 25 m away, at 25 km/h", preset="crossing", is_small=True),
     "phase": Scenario("60 m, frames half a pattern late", _at(60, {f"{ARRAY}start_s": 0.5e-3}), is_small=True),
     "rate-1.3": Scenario("60 m, free-running camera, 1.3 frames per pattern", _camera(1300)),
@@ -82,6 +82,10 @@ SCENARIOS: Mapping[str, Scenario] = {
         "60 m, light of the whole image varies by 30 % at 10 Hz",
         _at(60, {"channel.camera.gain_swing": 0.3, "channel.camera.gain_period_s": 0.1}),
     ),
+    "fog-200": Scenario("60 m, fog of 200 m visibility", _at(60, {"channel.weather.visibility_m": 200})),
+    "fog-100": Scenario("60 m, fog of 100 m visibility", _at(60, {"channel.weather.visibility_m": 100}), is_small=True),
+    "rain": Scenario("60 m, rain of 50 mm/h on the windscreen", _at(60, {"channel.weather.rain_mm_h": 50})),
+    "glare": Scenario("60 m, low sun", _at(60, {"channel.weather.glare": 0.3}), is_small=True),
     "six-arrays": Scenario(
         "six arrays, 55 m away", _at(55, {"channel.arrays": _PLACES, "transmit.identities": [3, 8, 12, 17, 21, 26]})
     ),
