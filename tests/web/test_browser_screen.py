@@ -51,6 +51,14 @@ def transmit_page(chromium: Browser, address: str, **options: str) -> Iterator[P
         yield page
 
 
+@contextmanager
+def displayed_page(chromium: Browser, address: str) -> Iterator[Page]:
+    """Yield page *Transmit* on a display that tests refresh; see `grabbed`."""
+    with quiet_page(chromium, f"{address}transmit", DISPLAY) as page:
+        page.evaluate("() => { for (let k = 0; k < 40; k += 1) refresh(); }")  # the page measures its display
+        yield page
+
+
 def transmitting(page: Page, cells: str = "16") -> None:
     page.wait_for_selector("#rate option", state="attached")
     page.select_option("#rate", label="15")
@@ -78,10 +86,9 @@ def sent(chromium: Browser, address: str, tmp_path_factory: pytest.TempPathFacto
     drawn = np.full((24, 24), 30, np.uint8)
     cv2.circle(drawn, (12, 12), 8, 220, -1)
     cv2.imwrite(str(picture), drawn)
-    with quiet_page(chromium, f"{address}transmit", DISPLAY) as page:
+    with displayed_page(chromium, address) as page:
         page.check("input[value=file]")
         page.set_input_files("#file", picture)
-        page.evaluate("() => { for (let k = 0; k < 40; k += 1) refresh(); }")  # the page measures its display
         transmitting(page, "20")
         write_phone_film(film, phone_frames(grabbed(page, 4.0), PHONE), PHONE)
         expect(page.locator("#facts")).to_contain_text("as a file")
@@ -168,9 +175,12 @@ def test_likely_problem_is_shown_before_the_diagnosis(chromium: Browser, address
         expect(page.locator("#why-title")).to_have_text("Why nothing was received")
 
 
-def test_camera_of_the_browser_receives_a_text(chromium: Browser, address: str, tmp_path: Path) -> None:
+def test_camera_of_the_browser_receives_from_page_transmit(chromium: Browser, address: str, tmp_path: Path) -> None:
     webcam = tmp_path / "phone.mjpeg"
-    write_webcam(webcam, phone_frames(shown(sending_of(TEXT.encode(), None, 16, 15.0), 4.0, cell_px=12), PHONE))
+    with displayed_page(chromium, address) as page:
+        page.fill("#text", TEXT)
+        transmitting(page)
+        write_webcam(webcam, phone_frames(grabbed(page, 4.0), PHONE))
     with browser(chromium.browser_type, *webcam_of(webcam)) as found, quiet_page(found, f"{address}receive") as page:
         page.click("#start")
         expect(page.locator("#outline")).to_have_attribute("points", re.compile(r"[\d.]+( [\d.]+){7}"))
