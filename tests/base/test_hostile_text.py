@@ -53,7 +53,7 @@ VALUES = {
     "channel.duration_s=1e308": r"equal to 3600\b", "channel.camera.pixel_m=1e-300": r"equal to 0.0000001\b",
     "channel.camera.start_s=-1e9": r"equal to -60\b", "channel.arrays.0.vx_m_s=1e300": r"equal to 1000\b",
     "channel.distance_m=1e300": r"equal to 10000\b", "channel.camera.fps=1e-300": r"equal to 0.1\b",
-    "channel.speed_profile=[[0, 1e300]]": r"equal to 60\b",
+    "channel.speed_profile=[[0, 1e300]]": r"equal to 100\b",
     "receive.calibration.pixel_m=1e-300": r"equal to 0.0000001\b",
     "receive.track.coast_patterns=1e300": r"equal to 1000000\b",
     "channel.camera.focal_m=10 channel.camera.pixel_m=1e-6": r"at most 1e.06 pixels of pixel_m",
