@@ -103,7 +103,8 @@ def test_the_figure_shows_an_interrupted_run(tmp_path: Path, monkeypatch: pytest
 def test_loaded_receiver_and_hidden_split_are_in_table_and_files(tmp_path: Path, call: Call) -> None:
     (tmp_path / "blind.py").write_text(BLIND)
     options = ("--codewords", "1", "--workers", "1", "--output", "out", "--seed-file", "seed.txt")
-    lines = succeeded(call("--load", "blind.py", "benchmark", *options)).splitlines()
+    receivers = (part for name in ("plain", "soft", "blind") for part in ("--receiver", name))
+    lines = succeeded(call("--load", "blind.py", "benchmark", *receivers, *options)).splitlines()
     rows = [line.split() for line in lines]
     assert rows[0][:5] == ["scenario", "receiver", *LAYERS]
     pairs = [(scenario, receiver) for scenario in ("near", "far") for receiver in ("plain", "soft", "blind")]

@@ -65,8 +65,7 @@ def benchmark(
     from heliograph.sweeps.dataset import need_xarray, to_dataset
 
     need_xarray()
-    number = read_seed(Path(seed)) if isinstance(seed, Path | str) else seed
-    tallies = plan_benchmark(scenarios, receivers, number, codewords)
+    tallies = plan_benchmark(scenarios, receivers, seed, codewords)
     count_with_bar(tallies, output, workers, scheduler, progress, count_benchmark)
     keys = {key: list(dict.fromkeys(tally.point.choice[key] for tally in tallies)) for key in ("scenario", "receiver")}
     data = to_dataset(keys, tallies)
@@ -79,16 +78,21 @@ def benchmark(
 
 
 def plan_benchmark(
-    scenarios: Iterable[str], receivers: Iterable[str] | None, seed: int, codewords: int
+    scenarios: Iterable[str], receivers: Iterable[str] | None, seed: int | Path | str, codewords: int
 ) -> list[PointTally]:
     """Return a tally for each scenario and receiver."""
+    chosen = choose_scenarios(scenarios)
     names = [name for name in RECEIVERS.names() if name != "screen"] if receivers is None else receivers
+    if not isinstance(names, str):
+        names = [RECEIVERS.check(name) for name in names]
+    # a mistake in the names creates no file
+    number = read_seed(Path(seed)) if isinstance(seed, Path | str) else seed
     # all receivers read the same films: errors complete no point
     rule = StopRule(min_errors=sys.maxsize, max_codewords=codewords)
     return [
         PointTally(replace(point, choice={"scenario": name, **point.choice}), rule, may_refuse=True)
-        for name, scenario in choose_scenarios(scenarios).items()
-        for point in plan({"receiver": names}, scenario.preset, merge_changes(scenario.changes), seed)
+        for name, scenario in chosen.items()
+        for point in plan({"receiver": names}, scenario.preset, merge_changes(scenario.changes), number)
     ]
 
 

@@ -121,9 +121,10 @@ class Windscreen:
         start_s, rake = self._start_s + wipe * weather.wiper_s, math.radians(weather.rake_deg)
         # Marshall, Palmer 1948: N(D) = 8000 exp(-Lambda D) drops per m^3 and mm of the diameter D in mm
         per_mm = 4.1 * weather.rain_mm_h**-0.21
-        # the car runs into N(D) v drops per m^2 and s; drops fall at 3.78 D^0.67 m/s (Atlas, Ulbrich 1977)
-        ahead = float(self._travel.speed(np.array(start_s))) * math.sin(rake)
-        down = 3.78 * math.gamma(1.67) * per_mm**-0.67 * math.cos(rake)
+        # through an area normal to the travel, the car runs into N(D) v drops per m^2 and s, whatever the rake of the
+        # glass behind; drops fall on the glass at 3.78 D^0.67 m/s (Atlas, Ulbrich 1977)
+        ahead = float(self._travel.speed(np.array(start_s)))
+        down = 3.78 * math.gamma(1.67) * per_mm**-0.67 / math.tan(rake)
         drops = []
         for speed_m_s, shape in ((ahead, 1.0), (down, 1.67)):
             n = rng.poisson(8000 / per_mm * speed_m_s * weather.wiper_s * self._size_m.prod())

@@ -9,7 +9,7 @@ import typer
 
 from heliograph import __version__
 from heliograph.base.workers import limit_threads
-from heliograph.benchmarks.benchmark import count_benchmark, plan_benchmark, read_seed, split
+from heliograph.benchmarks.benchmark import count_benchmark, plan_benchmark, split
 from heliograph.benchmarks.scenarios import VERSION, choose_scenarios
 from heliograph.cli import console, options
 from heliograph.cli.options import option
@@ -60,8 +60,7 @@ def benchmark(
             console.say(f"{name:16}  {'small' if scenario.is_small else '':5}  {scenario.summary}")
         return
     limit_threads()
-    seed = 0 if seed_file is None else read_seed(seed_file)
-    tallies = plan_benchmark(scenarios or ["small"], receiver or None, seed, codewords)
+    tallies = plan_benchmark(scenarios or ["small"], receiver or None, seed_file or 0, codewords)
     if fewer := fewer_workers(crew.workers):
         console.complain(fewer)
     count_and_show(tallies, output, crew, as_json, _show, count_benchmark)

@@ -88,7 +88,7 @@ class ErrorCounter:
         self.duplicates += bool(sent.counts)
         if not sent.counts or right > sent.right:
             sent.counts, sent.right = counts, right
-            sent.distance_error = min(1.0, abs(packet.distance_m / sent.distance_m - 1))
+            sent.distance_error = float(np.minimum(1.0, abs(packet.distance_m / sent.distance_m - 1)))
 
     def bins(self) -> dict[float, Layers]:
         """Return errors by the lower edge of the distance bin and by layer, near first.

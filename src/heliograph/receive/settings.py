@@ -30,7 +30,7 @@ Length = Annotated[int, Field(ge=8, le=10**5)]  # columns or rows of a region
 Region = tuple[Start, Start, Length, Length]
 """x, y, columns and rows in px."""
 
-SMALLEST_SIDE_PX = {"plain": 8.0, "soft": 4.0}
+SMALLEST_SIDE_PX = dict.fromkeys(RECEIVERS.built_in, 8.0) | {"soft": 4.0, "screen": 4.0}
 """Default minimum size of an array: 123 m and 247 m away in the reference link."""
 
 
@@ -84,7 +84,8 @@ class DetectSettings:
     ----------
     min_side_px
         Minimum side of an array in px, at least 3; arrays down to 0.945 of the minimum are detected too. If left out, 8
-        for "plain" and 4 for others. A smaller value reads farther, takes longer and detects more clutter.
+        for "plain" and published receivers, 4 for others. A smaller value reads farther, takes longer and detects more
+        clutter.
     max_side_px
         Maximum side of an array in px, 6 to 4096; arrays above 64 px are searched in reduced frames.
     min_contrast

@@ -89,7 +89,7 @@ def _collect(future: Future[dict[str, Any]], tally: PointTally, block: int, stor
     if result["version"] != build():
         raise HeliographError(f"a worker has heliograph {result['version']}, not {build()}; install the same on all")
     if refusal := result["refusal"]:
-        if not tally.may_refuse:
+        if not tally.may_refuse or tally.blocks:
             raise HeliographError(f"{tally.point.text}: {refusal}")
         tally.refuse(refusal)
         return True
