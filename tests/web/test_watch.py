@@ -294,10 +294,17 @@ def test_recorded_drive_is_small_warms_up_the_receiver_and_is_the_source_without
     assert seen.scenes[0][0]["frame"] == 0  # before the first search
     state = seen.of("state")[-1]
     assert (state["frames"], state["false_codewords"]) == (3293, 0)
-    layers = state["arrays"][0]["layers"]
-    assert [layers[name]["ok"] for name in ("high", "middle")] == [33, 66]
-    # 31 or 32 of 33 by the processor, as rounding decides on a codeword at 80 m
-    assert layers["low"]["ok"] >= 31
+    packets = seen.of("packet")
+    assert len(packets) == 33
+    wrong = [
+        (round(packet["distance_m"]), layer)
+        for packet in packets
+        for layer, words in packet["layers"].items()
+        for word in words
+        if word["status"] != "ok"
+    ]
+    # the codeword at 78 m depends on the kernels that OpenBLAS chooses for the processor
+    assert wrong in ([(80, "low")], [(80, "low"), (78, "low")])
     assert {"high", "middle", "low"} == {row["layer"] for row in seen.of("message")}
 
 
