@@ -1,4 +1,4 @@
-// What the server tells while it reads: the rows of its journal, and how far it is.
+// Rows from the server during a reception: its journal and its progress.
 
 import { socket } from "../common/api";
 
@@ -23,7 +23,7 @@ export type Row =
   | { event: "error"; error: string }
   | { event: "end"; frames: number; packets: number; ok: number; failed: number; let_go: number };
 
-/** What the page asks for. */
+/** Request of the page. */
 export interface Wish {
   kind: "film" | "camera";
   film?: string;

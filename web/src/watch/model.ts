@@ -56,7 +56,7 @@ function message(model: Model, row: Of<"message">): void {
   }
 }
 
-/** Shows a picture; one that is sent again keeps its first packet. */
+/** Shows a picture; a repeated picture keeps its first packet. */
 function show(model: Model, { id, bytes }: { id: number; bytes: number }, data: string): void {
   model.picture = model.pictures.get(data) ?? { data, bytes, count: model.pictures.size + 1, packet: model.packets.find((one) => one.id === id) };
   model.pictures.set(data, model.picture);
