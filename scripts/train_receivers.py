@@ -1,6 +1,6 @@
 """Train the receivers "svm" and "mlp" on simulated films: `python scripts/train_receivers.py`, in about two minutes.
 
-Writes src/heliograph/receive/published/learned.npz. Needs scikit-learn (extra dev). Seeds, distances, brightness and
+Writes src/heliograph/published/learned.npz. Needs scikit-learn (extra dev). Seeds, distances, brightness and
 hand motion of the films differ from those of sweeps and tests.
 """
 
@@ -22,12 +22,12 @@ from heliograph.link.film import frames_of
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import simulate, transmitters
 from heliograph.measure.bench import lasting, placed_within_pixel, random_messages, window_margin_px
+from heliograph.published.learned import PARAMETERS, POWERS, take_squares
 from heliograph.receive.build import plain_receiver
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.footprint import to_quarters
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame
-from heliograph.receive.published.learned import PARAMETERS, POWERS, take_squares
 from heliograph.signal.packet import PacketFormat
 
 FIRST_SEED = 7_450_000  # seeds of sweeps are hashes of settings, those of tests small numbers
