@@ -37,7 +37,7 @@ def test_warp_is_bilinear_interpolation(turn: list[list[float]], shift: tuple[fl
 def test_background_moves_with_the_arrays() -> None:
     camera = ChannelSettings().camera  # a distant point moves by K R K^-1, to first order the background shift
     pitch, yaw, roll = 2e-3, -1e-3, 3e-3
-    pose = CameraPose(*(np.array([v]) for v in (0.0, 0.0, pitch, yaw, roll)))
+    pose = CameraPose(*(np.array([v]) for v in (0.0, 0.0, pitch, yaw, roll, 0.0)))
     affine = image_motion(pose, (0,), camera, (camera.height, camera.width), np.inf)
     lens = np.array([[camera.focal_px, 0, 511.5], [0, camera.focal_px, 255.5], [0, 0, 1]])
     turn = lens @ rotation(pitch, yaw, roll) @ np.linalg.inv(lens)

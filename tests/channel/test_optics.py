@@ -12,7 +12,7 @@ from heliograph.channel.render import Canvas, add_array
 from heliograph.channel.scene import CameraPose, homography, project, square
 from heliograph.channel.settings import ChannelSettings, EmitterSettings, Placement
 
-REST = CameraPose(*[np.zeros(1)] * 5)
+REST = CameraPose(*[np.zeros(1)] * 6)
 
 
 def view(settings: ChannelSettings, placement: Placement) -> tuple[Floats, Floats]:

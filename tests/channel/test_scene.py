@@ -29,7 +29,7 @@ POINTS: st.SearchStrategy[Floats] = st.lists(COORDINATES, min_size=1, max_size=4
 
 
 def pose_of(travelled: float, heave: float, *turn: float) -> CameraPose:
-    return CameraPose(*(np.array([value]) for value in (travelled, heave, *turn)))
+    return CameraPose(*(np.array([value]) for value in (travelled, heave, *turn, 0.0)))
 
 
 def turned(pitch: float, yaw: float, roll: float) -> Rotation:

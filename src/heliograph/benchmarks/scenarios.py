@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from importlib.resources import files
 from typing import Any
 
 from heliograph.base.errors import SettingsError, brief, shown
@@ -44,6 +45,17 @@ def _camera(fps: float) -> Mapping[str, Any]:
     return _at(60, {**camera, f"{ARRAY}start_s": 0.3e-3, f"{ARRAY}clock_ppm": 100})
 
 
+def _behind(vehicle: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return changes for an array at the rear of a vehicle with a trajectory."""
+    place = {f"{ARRAY}x_m": 0, f"{ARRAY}y_m": 0.4, f"{ARRAY}trajectory": _trajectory(vehicle)}
+    return {**place, **changes}
+
+
+def _trajectory(name: str) -> str:
+    """Return the path of a CSV file of the package."""
+    return str(files("heliograph.benchmarks") / "trajectories" / f"{name}.csv")
+
+
 _PLACES = [{"x_m": x, "y_m": y} for x, y in ((-5, 0.6), (-3, -0.4), (-1, 0.2), (1, -0.8), (3, 0.9), (5, -0.1))]
 
 SCENARIOS: Mapping[str, Scenario] = {
@@ -65,6 +77,18 @@ SCENARIOS: Mapping[str, Scenario] = {
     "motorway": Scenario("120 m to 25 m at 100 km/h, road of class A", preset="motorway", is_small=True),
     "motorway-360": Scenario("120 m to 25 m at 360 km/h", {"channel.speed_m_s": 100}, "motorway"),
     "crossing": Scenario("a camera passes a turned array, 25 m away, at 25 km/h", preset="crossing", is_small=True),
+    # lateral motion of 3.5 m in 3 s by a polynomial of degree 5, 5 m/s faster than the camera
+    "lane-change": Scenario(
+        "an array of 0.32 m on a vehicle that changes lane, 32 m to 47 m ahead at 100 km/h",
+        _behind("lane-change", {"channel.duration_s": 3}),
+        "motorway",
+    ),
+    # distance 17 m + 6 m cos(2 pi t / 8 s)
+    "platoon": Scenario(
+        "an array of 0.32 m on the vehicle ahead at 80 km/h, distance 23 m to 11 m",
+        _behind("platoon-leader", {"channel.trajectory": _trajectory("platoon-follower"), "channel.duration_s": 4}),
+        "motorway",
+    ),
     "phase": Scenario("60 m, frames half a pattern late", _at(60, {f"{ARRAY}start_s": 0.5e-3}), is_small=True),
     "rate-1.3": Scenario("60 m, free-running camera, 1.3 frames per pattern", _camera(1300)),
     "rate-2": Scenario("60 m, free-running camera, 2 frames per pattern", _camera(2000), is_small=True),

@@ -220,7 +220,7 @@ def image_motion(
     zoom = max(1 - driven / depth_m, 0.05)  # bounds the expansion near the scene
     turn = zoom * np.array([[np.cos(roll), -np.sin(roll)], [np.sin(roll), np.cos(roll)]])
     centre = np.array([(camera.width - 1) / 2, (camera.height - 1) / 2])
-    shift = camera.focal_px * np.array([yaw, -pitch])
+    shift = camera.focal_px * np.array([yaw + pose.right_m[index] / depth_m, -pitch])
     affine = np.eye(3)
     affine[:2, :2] = turn
     affine[:2, 2] = np.array([(size[1] - 1) / 2, (size[0] - 1) / 2]) + shift - turn @ centre

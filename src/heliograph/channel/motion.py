@@ -11,7 +11,8 @@ from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError
 from heliograph.channel.parts import MOTIONS
 from heliograph.channel.scene import CameraPose
-from heliograph.channel.settings import ChannelSettings
+from heliograph.channel.settings import MIN_DISTANCE_M, ChannelSettings
+from heliograph.channel.trajectory import Path, array_paths, camera_path
 
 Shake = Callable[[Floats], Floats]  # times (...) in s -> (..., 4): heave in m, upward; pitch, yaw, roll in rad
 
@@ -153,6 +154,8 @@ class Travel:
     @classmethod
     def of(cls, settings: ChannelSettings) -> "Travel":
         """Return the travel of the vehicle in the settings."""
+        if (path := camera_path(settings)) is not None:
+            return cls(path.x, np.linalg.norm(path(path.x, 1)[:, (0, 2)], axis=1))
         return cls(*np.array(settings.speed_profile or ((0.0, settings.speed_m_s),), float).T)
 
     def speed(self, times_s: Floats) -> Floats:
@@ -180,9 +183,11 @@ class Travel:
 
 
 def film_duration(settings: ChannelSettings) -> float:
-    """Return the film length in s: ``duration_s``, or the time to ``stop_m``, or 1 s for a vehicle at rest."""
+    """Return the film length in s: ``duration_s``, or the first end of a trajectory, the time to ``stop_m``, or 1 s."""
     if settings.duration_s is not None:
         return settings.duration_s
+    if settings.trajectories:
+        return min(points[-1][0] for points in settings.trajectories.values())
     return Travel.of(settings).time_of(settings.distance_m - settings.stop_m) if settings.moves else 1.0
 
 
@@ -268,15 +273,34 @@ def imu_motion(drive: Drive) -> Shake | None:
 
 def motion(settings: ChannelSettings, imu: ImuTrace | None, rng: np.random.Generator) -> Motion:
     """Return the motion of the camera over the film."""
-    travel = Travel.of(settings)
+    travel, path = Travel.of(settings), _vehicle(settings)
     drive = Drive(settings, travel, min(0.0, settings.camera.start_s), film_duration(settings), imu, rng)
     shake: Shake | None = MOTIONS[settings.shake](drive)
 
     def pose(times_s: Floats) -> CameraPose:
         turns = np.zeros((*times_s.shape, 4)) if shake is None else shake(times_s)
-        return CameraPose(travel.distance(times_s), *np.moveaxis(turns, -1, 0))
+        (right, down, forward, heading), (heave, pitch, yaw, roll) = (
+            np.moveaxis(a, -1, 0) for a in (path(times_s), turns)
+        )
+        return CameraPose(forward, heave - down, pitch, yaw + heading, roll, right)
 
     return pose
+
+
+def _vehicle(settings: ChannelSettings) -> Path:
+    """Return the path of the vehicle of the camera: a trajectory, or straight ahead."""
+    travel, path, ahead = Travel.of(settings), camera_path(settings), np.array([0.0, 0.0, 1.0, 0.0])
+    return path if path is not None else lambda times_s: travel.distance(times_s)[..., None] * ahead
+
+
+def nearest_m(settings: ChannelSettings) -> float:
+    """Return the smallest distance in the film to arrays with ``z_offset_m`` = 0."""
+    if not settings.trajectories:
+        return min(settings.distance_m, settings.stop_m) if settings.moves else settings.distance_m
+    times = np.linspace(0, film_duration(settings), 256)
+    driven = _vehicle(settings)(times)[:, 2]
+    gaps = [(settings.distance_m if path is None else path(times)[:, 2]) - driven for path in array_paths(settings)]
+    return max(float(np.min(gaps)), MIN_DISTANCE_M)
 
 
 def hand_motion(drive: Drive) -> Shake | None:

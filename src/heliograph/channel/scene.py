@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.settings import CameraSettings, Placement
+from heliograph.channel.trajectory import Path
 
 TINY_M = 1e-9  # minimum depth in m for divisions
 
@@ -37,6 +38,8 @@ class CameraPose:
     yaw_rad: Floats
     # Rotation in rad, positive with the right side down
     roll_rad: Floats
+    # Distance to the right of the start in m
+    right_m: Floats
 
 
 def rotation(pitch_rad: ArrayLike, yaw_rad: ArrayLike, roll_rad: ArrayLike) -> Floats:
@@ -52,23 +55,37 @@ def rotation(pitch_rad: ArrayLike, yaw_rad: ArrayLike, roll_rad: ArrayLike) -> F
 
 
 def homography(
-    pose: CameraPose, times_s: Floats, placement: Placement, distance_m: float, camera: CameraSettings
+    pose: CameraPose,
+    times_s: Floats,
+    placement: Placement,
+    distance_m: float,
+    camera: CameraSettings,
+    path: Path | None = None,
 ) -> tuple[Floats, Floats]:
     """Return the homography of an array plane, and the camera position relative to the array."""
     tilt = rotation(*np.radians((placement.pitch_deg, placement.yaw_deg, placement.roll_deg)))
     turn = rotation(pose.pitch_rad, pose.yaw_rad, pose.roll_rad)
     # from camera to array centre in world axes, (..., 3) in m
-    x = placement.x_m + placement.vx_m_s * times_s
-    y = placement.y_m + placement.vy_m_s * times_s + pose.heave_m
-    z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s - pose.travelled_m
+    if path is None:
+        x = placement.x_m + placement.vx_m_s * times_s
+        y = placement.y_m + placement.vy_m_s * times_s
+        z = distance_m + placement.z_offset_m + placement.vz_m_s * times_s
+    else:  # the vehicle turns the array about its own origin
+        *origin, yaw = np.moveaxis(path(times_s), -1, 0)
+        heading = rotation(0.0, yaw, 0.0)
+        mounted = heading @ np.array([placement.x_m, placement.y_m, placement.z_offset_m])
+        x, y, z = (at + mounted[..., axis] for axis, at in enumerate(origin))
+        tilt = heading @ tilt
+    x, y, z = x - pose.right_m, y + pose.heave_m, z - pose.travelled_m
     z = np.where(np.abs(z) < TINY_M, TINY_M, z)  # camera in the plane of the array
     gap = np.stack(np.broadcast_arrays(x, y, z), -1)
     # X_camera = R^T (P + R_a (a, b, 0)^T - C); pixel = K X_camera; a, b in m right and down in the plane
-    columns = np.concatenate([np.broadcast_to(tilt[:, :2], (*gap.shape[:-1], 3, 2)), gap[..., None]], -1)
+    columns = np.concatenate([np.broadcast_to(tilt[..., :2], (*gap.shape[:-1], 3, 2)), gap[..., None]], -1)
     lens = np.array(
         [[camera.focal_px, 0, (camera.width - 1) / 2], [0, camera.focal_px, (camera.height - 1) / 2], [0, 0, 1]]
     )
-    return lens @ np.swapaxes(turn, -1, -2) @ columns, -gap @ tilt
+    eye = -gap @ tilt if path is None else -(gap[..., None, :] @ tilt)[..., 0, :]
+    return lens @ np.swapaxes(turn, -1, -2) @ columns, eye
 
 
 def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:

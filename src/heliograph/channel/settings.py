@@ -42,6 +42,22 @@ TiltDeg = Annotated[float, Field(gt=-90, lt=90)]  # tilt of an array in degrees,
 
 SunDeg = Annotated[float, Field(ge=-90, le=90)]  # angle of the sun from the optical axis in degrees
 
+
+MAX_POINTS = 36_000  # maximum number of points of a trajectory: an hour at 10 points/s
+
+
+def _timed(points: "Points") -> "Points":
+    if len(points) == 1 or len(points) > MAX_POINTS:
+        raise ValueError(f"a trajectory has 2 to {MAX_POINTS} points, not {len(points)}; read fewer points per second")
+    late = next((b for a, b in pairwise(points) if b[0] <= a[0]), None)
+    if late:
+        raise ValueError(f"the times of a trajectory rise, unlike {late[0]:g} s")
+    return points
+
+
+Points = Annotated[tuple[tuple[float, float, float, float, float], ...], AfterValidator(_timed)]
+"""Trajectory: time in s, x, y and z in m, yaw in degrees."""
+
 EXPOSURE_SLACK = 1e-9  # relative excess of the exposure over the frame period or T_b that is a rounding error
 
 MAX_MOTION_PX = 1e3
@@ -97,6 +113,10 @@ class Placement:
         Error of the array clock in millionths, -10000 to 10000; positive for a longer pattern period.
     start_s
         Start of pattern 0 in s, -60 to 3600; the array is dark before. At most 1e6 patterns precede the first frame.
+    trajectory
+        CSV file, or points (time in s, x, y, z in m, yaw in degrees), of the vehicle with the array, as for
+        ``channel.trajectory``. ``x_m``, ``y_m`` and ``z_offset_m`` are then the place of the array on the vehicle:
+        right, down and forward; ``channel.distance_m`` has no effect, and the velocities are 0.
     """
 
     x_m: LengthM = 1.5
@@ -117,9 +137,12 @@ class Placement:
     off_s: tuple[tuple[float, float], ...] = ()
     clock_ppm: Ppm = 0.0
     start_s: TimeS = 0.0
+    trajectory: Points = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> "Placement":
+        if self.trajectory and (self.vx_m_s or self.vy_m_s or self.vz_m_s):
+            raise ValueError("an array has a trajectory or velocities: set vx_m_s, vy_m_s and vz_m_s to 0")
         if self.dead + self.stuck > 1:
             raise ValueError(f"dead and stuck are at most 1 together, not {self.dead + self.stuck:g}")
         if self.hidden and not (self.hidden[0] < self.hidden[2] and self.hidden[1] < self.hidden[3]):
@@ -420,10 +443,15 @@ class ChannelSettings:
     speed_m_s
         Speed of the vehicle in m/s, 0 to 100; 0 for a vehicle at rest. A higher speed increases the shake.
     duration_s
-        Length of the film in s, above 0 and at most an hour; by default, the drive to ``stop_m``, or 1 s for a
-        vehicle at rest.
+        Length of the film in s, above 0 and at most an hour; by default, to the first end of a trajectory, or the drive
+        to ``stop_m``, or 1 s for a vehicle at rest.
     speed_profile
         Points (time in s, speed in m/s, 0 to 100) at rising times for linear interpolation, in place of ``speed_m_s``.
+    trajectory
+        CSV file with the columns time_s, x_m, y_m and optionally z_m and yaw_deg, or points (time in s, x, y, z in m,
+        yaw in degrees): path of the camera in place of a speed. x, y and z point forward, left and up, yaw turns left
+        (ISO 8855). Camera and vehicles of arrays have common axes; without a trajectory the camera starts at the origin
+        along x. The shake is added.
     shake
         Motion of the camera: "none", "road" (half-car model on a random road), "imu" (a recorded trace) or "hand" (a
         handheld camera); programs may register others.
@@ -454,6 +482,7 @@ class ChannelSettings:
     speed_m_s: Annotated[float, Field(ge=0, le=100)] = 30 / 3.6
     duration_s: Annotated[float, Field(gt=0, le=3600)] | None = None
     speed_profile: tuple[tuple[Annotated[float, Field(ge=-1e6, le=1e6)], Annotated[float, Field(le=100)]], ...] = ()
+    trajectory: Points = ()
     shake: Annotated[str, AfterValidator(MOTIONS.check)] = "road"
     hand_deg: Annotated[float, Field(ge=0, le=10)] = 0.3
     road_class: Literal["A", "B", "C", "D"] = "B"
@@ -473,11 +502,18 @@ class ChannelSettings:
             raise ValueError(f"the times of speed_profile rise, not {times}")
         if any(speed < 0 for _, speed in self.speed_profile):
             raise ValueError(f"speeds are at least 0, not {min(speed for _, speed in self.speed_profile):g}")
-        if self.moves and self.duration_s is None and self.stop_m >= self.distance_m:
+        begin_s, end_s = min(0.0, self.camera.start_s), self.duration_s or 0.0
+        for key, points in self.trajectories.items():
+            first_s, last_s = points[0][0], points[-1][0]
+            if first_s > begin_s or last_s < end_s or last_s <= 0:
+                spans = f"from {first_s:g} s to {last_s:g} s, the film from {begin_s:g} s to {end_s:g} s"
+                raise ValueError(f"{key} lasts {spans}; extend it, shift its times, or change channel.duration_s")
+        to_stop = self.moves and self.duration_s is None and not self.trajectories
+        if to_stop and self.stop_m >= self.distance_m:
             raise ValueError(f"stop_m is below distance_m = {self.distance_m:g}, not {self.stop_m:g}; set duration_s")
         for k, place in enumerate(self.arrays):
             ahead_m = self.distance_m + place.z_offset_m
-            if ahead_m <= 0 and place.vz_m_s <= 0:
+            if ahead_m <= 0 and place.vz_m_s <= 0 and not self.trajectories:
                 cure = f"raise channel.arrays.{k}.z_offset_m above -{self.distance_m:g}"
                 raise ValueError(f"array {k} lies {-ahead_m:g} m behind the camera during the film; {cure}")
             # the renderer checks later motion and shake
@@ -494,6 +530,14 @@ class ChannelSettings:
         return self
 
     @property
+    def trajectories(self) -> dict[str, Points]:
+        """Trajectories of camera and arrays by key."""
+        arrays = {f"channel.arrays.{k}.trajectory": place.trajectory for k, place in enumerate(self.arrays)}
+        return {key: points for key, points in {"channel.trajectory": self.trajectory, **arrays}.items() if points}
+
+    @property
     def moves(self) -> bool:
-        """True if a speed of the vehicle is above 0."""
+        """True if a vehicle has a trajectory, or a speed above 0."""
+        if self.trajectories:
+            return True
         return any(speed > 0 for _, speed in self.speed_profile) if self.speed_profile else self.speed_m_s > 0

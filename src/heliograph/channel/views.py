@@ -2,9 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from heliograph.base.arrays import Floats
 from heliograph.channel.background import Painter
@@ -12,6 +14,7 @@ from heliograph.channel.exposure import Lighting, Lit
 from heliograph.channel.motion import Motion
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
 from heliograph.channel.settings import MAX_JITTER, MIN_DISTANCE_M, CameraSettings, ChannelSettings
+from heliograph.channel.trajectory import array_paths
 from heliograph.channel.truth import ArrayTruth
 
 
@@ -37,7 +40,12 @@ class FilmScene:
     def maps(self, array: int, times_s: Floats, pose: CameraPose) -> tuple[Floats, Floats]:
         """Return homography and camera position of an array, see `scene.homography`."""
         s = self.settings
-        return homography(pose, times_s, s.arrays[array], s.distance_m, s.camera)
+        return homography(pose, times_s, s.arrays[array], s.distance_m, s.camera, self.paths[array])
+
+    @cached_property
+    def paths(self) -> list[CubicSpline | None]:
+        """Trajectory of each array."""
+        return array_paths(self.settings)
 
 
 @dataclass(frozen=True)

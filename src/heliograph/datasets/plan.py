@@ -10,6 +10,7 @@ import numpy as np
 
 from heliograph import __version__
 from heliograph.base.errors import SettingsError, shown
+from heliograph.channel.motion import nearest_m
 from heliograph.link.film import frames_of
 from heliograph.link.settings import LinkSettings
 from heliograph.measure.bench import block_settings
@@ -135,9 +136,8 @@ def planned(
 def _cutout_px(settings: LinkSettings) -> int:
     """Return the side of the cut-outs for the nearest array."""
     channel, signal = settings.channel, settings.signal
-    last_m = min(channel.distance_m, channel.stop_m) if channel.moves else channel.distance_m
-    nearest_m = max(last_m + min(array.z_offset_m for array in channel.arrays), 0.1)
-    side = signal.side * channel.emitter.pitch_m * channel.camera.focal_px / nearest_m
+    closest_m = max(nearest_m(channel) + min(array.z_offset_m for array in channel.arrays), 0.1)
+    side = signal.side * channel.emitter.pitch_m * channel.camera.focal_px / closest_m
     size = math.ceil(min(CUTOUT_SIDES * side, 1e6)) + 8  # 8 px for blur
     return min(size, max(channel.camera.width, channel.camera.height))
 

@@ -330,7 +330,7 @@ def array_images(channel: ChannelSettings, side: int, distance_m: float, shift_p
     """Render each LED of the first array for a static camera."""
     still = np.zeros(())
     count, place = min(side, MAX_SIDE), channel.arrays[0]
-    plane, eye = homography(CameraPose(*5 * [still]), still, place, distance_m - place.z_offset_m, channel.camera)
+    plane, eye = homography(CameraPose(*6 * [still]), still, place, distance_m - place.z_offset_m, channel.camera)
     centre = plane[:2, 2] / plane[2, 2]
     dx, dy = shift_px - (centre - np.round(centre))
     plane = np.array([[1.0, 0.0, dx], [0.0, 1.0, dy], [0.0, 0.0, 1.0]]) @ plane

@@ -6,15 +6,17 @@ from dataclasses import asdict
 from difflib import get_close_matches
 from functools import reduce
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from pydantic import model_validator
 from pydantic.dataclasses import dataclass
 
 from heliograph.base.config import CONFIG, clear_errors, from_mapping, merge
-from heliograph.base.errors import SettingsError, shown
+from heliograph.base.errors import MediaError, SettingsError, shown
 from heliograph.base.toml_text import parse_assignment
 from heliograph.channel.settings import ChannelSettings
+from heliograph.link.tables import load_trajectory
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.signal.settings import SignalSettings
 from heliograph.transmit import TransmitSettings
@@ -108,6 +110,8 @@ def load_settings(
 ) -> LinkSettings:
     """Load a preset and apply a mapping (from TOML) and then ``key=value`` texts.
 
+    The points of a trajectory file, relative to the working directory, become part of the settings.
+
     Parameters
     ----------
     name
@@ -120,7 +124,8 @@ def load_settings(
     Raises
     ------
     SettingsError
-        A preset or key is unknown, a value is wrong or out of range, or an argument has the wrong type.
+        A preset or key is unknown, a value is wrong or out of range, an argument has the wrong type, or a trajectory
+        cannot be read.
     """
     if not isinstance(name, str):
         raise SettingsError(f"a preset is one of {', '.join(PRESETS)}, not {shown(name)}")
@@ -129,4 +134,24 @@ def load_settings(
     if isinstance(assignments, str) or not isinstance(assignments, Iterable):
         raise SettingsError(f'assignments are a list, such as ["signal.side=8"], not {shown(assignments)}')
     changes = [preset(name), over or {}, *map(parse_assignment, assignments)]
-    return from_mapping(LinkSettings, reduce(merge, changes, asdict(LinkSettings())))
+    tree = reduce(merge, changes, asdict(LinkSettings()))
+    return from_mapping(LinkSettings, {**tree, "channel": _with_trajectories(tree["channel"])})
+
+
+def _with_trajectories(channel: Any) -> Any:
+    """Return the channel with the points of trajectory files in place of their names; invalid trees are unchanged."""
+    if not isinstance(channel, Mapping):
+        return channel
+    arrays = channel.get("arrays")
+    if isinstance(arrays, list | tuple):
+        arrays = [_with_points(place, f"channel.arrays.{k}") for k, place in enumerate(arrays)]
+    return _with_points({**channel, "arrays": arrays}, "channel")
+
+
+def _with_points(place: Any, key: str) -> Any:
+    if not isinstance(place, Mapping) or not isinstance(place.get("trajectory"), str | Path):
+        return place
+    try:
+        return {**place, "trajectory": load_trajectory(Path(place["trajectory"]))}
+    except MediaError as error:
+        raise SettingsError(f"setting '{key}.trajectory': {error}") from None

@@ -1,22 +1,20 @@
 """Transmitters and channel together: messages to camera frames and their truth."""
 
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.base.errors import MediaError, SettingsError, shown
-from heliograph.base.files import read_bounded
 from heliograph.base.frames import Frame
 from heliograph.channel.background import Footage
 from heliograph.channel.camera import film
 from heliograph.channel.motion import ImuTrace
 from heliograph.channel.truth import Truth
 from heliograph.link.settings import LinkSettings
+from heliograph.link.tables import read_columns
 from heliograph.media import open_film
 from heliograph.transmit import Messages, Transmitter
 
@@ -41,26 +39,7 @@ def load_footage(path: Path) -> Footage:
 def load_imu(path: Path) -> ImuTrace:
     """Load vehicle motion from a CSV file."""
     try:
-        text = read_bounded(path, 1 << 28).decode()  # an hour at 1000 samples/s takes 220 MB
-    except OSError as error:
-        raise MediaError(f"cannot read the motion file {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise MediaError(f"the motion file {path} is no text; give a CSV file") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # an empty table; the length is checked later
-            # invalid numbers become NaN
-            table: Any = np.genfromtxt(text.splitlines(), delimiter=",", names=True, dtype=np.float64)
-    except IndexError:  # all lines are blank or comments
-        raise MediaError(f"the motion file {path} is empty; a motion file has {', '.join(IMU_COLUMNS)}") from None
-    except ValueError as error:
-        reason = str(error).splitlines()[:2][-1].strip()  # the second line names the incomplete row
-        raise MediaError(f"cannot read the motion file {path}: {reason}") from None
-    lacking = [name for name in IMU_COLUMNS if name not in (table.dtype.names or ())]
-    if lacking:
-        raise MediaError(f"{path} lacks the column '{lacking[0]}'; a motion file has {', '.join(IMU_COLUMNS)}")
-    try:
-        return ImuTrace.from_columns(*(np.atleast_1d(table[name]) for name in IMU_COLUMNS))
+        return ImuTrace.from_columns(*read_columns(path, IMU_COLUMNS))
     except ValueError as error:
         raise MediaError(f"{path}: {error}") from None
 

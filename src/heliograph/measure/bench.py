@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from heliograph.channel.motion import nearest_m
 from heliograph.link.film import frames_of
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings
@@ -103,8 +104,7 @@ def _message_bytes(layer: LayerFormat, packets: int) -> int:
 def window_margin_px(settings: LinkSettings) -> int:
     """Return the window margin around the arrays in px, half the side of an array."""
     channel = settings.channel
-    nearest = min(channel.distance_m, channel.stop_m) if channel.moves else channel.distance_m
-    side = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px / nearest
+    side = settings.signal.side * channel.emitter.pitch_m * channel.camera.focal_px / nearest_m(channel)
     # at least 12 px for the tracker and for motion within a header
     return max(12, math.ceil(min(side, settings.receive.detect.max_side_px) / 2))
 

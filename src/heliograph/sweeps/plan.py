@@ -176,7 +176,7 @@ def _size_conflict(settings: LinkSettings) -> str:
     ends = (channel.distance_m, channel.stop_m) if channel.moves else (channel.distance_m,)
     for array in channel.arrays:
         distances = [end + array.z_offset_m for end in ends]
-        if array.vz_m_s or min(distances) <= 0:
+        if channel.trajectories or array.vz_m_s or min(distances) <= 0:
             continue
         if side / min(distances) < lowest or side / max(distances) > highest:
             return f"{side / min(distances):.3g} px a side, the receiver detects {smallest:g} to {largest:g} px"
