@@ -1,6 +1,9 @@
 """The benchmark: scenarios, counts of receivers, splits, files and the command."""
 
+import csv
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +17,10 @@ from heliograph.benchmarks import benchmark as module
 from heliograph.benchmarks import scenarios
 from heliograph.benchmarks.benchmark import plan_benchmark, read_seed
 from heliograph.benchmarks.scenarios import Scenario, choose_scenarios
+from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps import sweep
+from heliograph.sweeps.metrics import PROCESSING
 
 TINY = {"signal.data_pairs": 8, "channel.camera.width": 480, "channel.camera.height": 288}
 FAST = {"channel.camera.fps": 2000, "channel.camera.exposure_s": 0.4e-3}
@@ -63,12 +68,19 @@ def test_all_scenarios_are_valid_and_the_small_set_is_a_part(monkeypatch: pytest
 @pytest.mark.slow
 def test_counts_are_equal_for_one_and_two_workers() -> None:
     one, two = (heliograph.benchmark(["plain", "soft"], ["near", "far"], codewords=2, workers=n) for n in (1, 2))
-    assert one.drop_vars("frame_ms").equals(two.drop_vars("frame_ms"))
-    assert (one.frame_ms > 0).all()
+    machine = ["frame_ms", *PROCESSING]
+    assert one.drop_vars(machine).equals(two.drop_vars(machine))
+    assert all((one[name] > 0).all() for name in machine)
     assert (one.distance_error < 0.05).all()
     assert dict(one.sizes) == {"scenario": 2, "receiver": 2, "layer": 3}
     assert one.codewords.sel(layer="high").values.tolist() == [[2, 2], [2, 2]]
     assert one.detected.values.tolist() == one.packets.values.tolist() == [[2, 2], [2, 2]]
+    assert (one.arrays == 2).all()
+    assert (one.acquired == 2).all()
+    assert (one.mota == 1).all()
+    assert (one.motp_px < 0.1).all()
+    assert (one.goodput_bits_per_second == one.net_bits_per_second).all()
+    assert one.latency_median_s.values == pytest.approx(0.02, abs=2e-3)  # the film ends with the packet
     errors = one.codeword_errors
     assert errors.sel(scenario="near").values.tolist() == [[0, 0, 0], [0, 0, 0]]
     assert (errors.sel(receiver="plain", layer="low") == [0, 2]).all()
@@ -113,6 +125,8 @@ def test_loaded_receiver_and_hidden_split_are_in_table_and_files(tmp_path: Path,
     assert "1/1 (5 to 100 %)" in lines[3]
     assert "hidden split" in lines[-1]
     assert {"benchmark.svg", "points.csv", "points.json", "results.sqlite"} <= {p.name for p in Path("out").iterdir()}
+    points = [*csv.DictReader(Path("out/points.csv").read_text().splitlines())]
+    assert {(row["benchmark"], row["split"]) for row in points} == {(str(scenarios.VERSION), "hidden")}
     figure = Path("out/benchmark.svg").read_text()
     assert "<svg" in figure
 
@@ -126,6 +140,39 @@ def test_receiver_that_refuses_a_scenario_has_no_counts(call: Call) -> None:
     data = heliograph.benchmark(["plain"], ["fast"], codewords=1)
     assert (data.codewords == 0).all()
     assert np.isnan(data.fer).all()
+
+
+@pytest.mark.slow
+def test_metrics_are_further_tables_of_120_columns(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scenarios, "SCENARIOS", {"static-40": FEW["near"], "static-70": FEW["far"]})
+    options = ("static-40", "static-70", "--receiver", "soft", "--codewords", "2", "--workers", "1", "--metrics")
+    lines = succeeded(call("benchmark", *options)).splitlines()
+    assert max(map(len, lines)) <= 120
+    columns = ["scenario", "receiver", "goodput bit/s", "acquired", "in s", "false/min", "MOTA", "MOTP px", "latency s"]
+    assert re.split("  +", lines[4].strip()) == [*columns, "processing s"]
+    # no false alarm in two films of 0.02 s: at most 3 in 0.04 s
+    assert re.fullmatch(r" *static-40 +soft +\d+ +2/2 +0.020 +0 \(0 to 4.\d\de\+03\) +1.000 +0.0\d+ +0.020.*", lines[5])
+    assert re.fullmatch(r" +soft +>70 m \(<40 to >70\) +>70 m \(<40 to >70\) +.*", lines[9])
+
+
+def test_range_is_where_the_codeword_error_rate_exceeds_one_percent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wrong of 400 codewords: 0, 1 and 40 of the high layer, none of the middle layer; no low layer is sent."""
+    distances_m = {"static-25": 25, "static-60": 60, "static-80": 80, "drive": 70}
+    known = {name: Scenario(name, {**TINY, "channel.distance_m": z}) for name, z in distances_m.items()}
+    monkeypatch.setattr(scenarios, "SCENARIOS", known)
+    tallies = plan_benchmark(known, ["plain"], 0, 1)
+    none = LayerCounts(codewords=400, sent_packets=400)
+    for tally, errors in zip(tallies, (0, 1, 40, 400), strict=True):
+        high = replace(none, codeword_errors=errors, word_squares=errors)
+        tally.total = BlockCounts({"high": high, "middle": none, "low": LayerCounts()})
+    found = module.ranges(tallies[::-1])
+    middle, low, high_m = found["plain", "high"]
+    assert middle == pytest.approx(60 + 20 * math.log(4) / math.log(40))
+    assert 25 < low < middle < high_m < 80
+    assert found["plain", "middle"] == (math.inf, math.inf, math.inf)
+    assert math.isnan(found["plain", "low"][0])
+    assert found["plain", "low"][1:] == (0, math.inf)
+    assert module.ranges(tallies[3:]) == {}
 
 
 def test_hidden_split_repeats_with_the_same_file(tmp_path: Path) -> None:

@@ -103,7 +103,9 @@ def test_unread_layers_are_not_compared() -> None:
 
 
 @pytest.mark.parametrize(("counts", "verdict", "why"), [
-    (LayerCounts(codewords=1000), "holds", ""), (LayerCounts(codewords=100), "shown", "Too few"),
+    (LayerCounts(codewords=1000, sent_packets=1000), "holds", ""),
+    (LayerCounts(codewords=100, sent_packets=100), "shown", "Too few"),
+    (LayerCounts(codewords=1000, sent_packets=100), "shown", "Too few"),
     (LayerCounts(raw_bits=1000, raw_errors=20, codewords=100, codeword_errors=5), "differs", ""),
     (LayerCounts(raw_bits=1000, raw_errors=200, codewords=100, codeword_errors=5), "differs", "too much"),
     (LayerCounts(0, 0, 1000, 200, 100, 5, 5), "differs", "5 of the 5 wrong codewords are of packets not received."),

@@ -10,7 +10,7 @@ from scenes import link
 
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages
-from heliograph.measure.counts import pooled
+from heliograph.measure.counts import BUDGET_S, pooled
 from heliograph.measure.errors import BIN_M, ErrorCounter
 from heliograph.receive.packet import ERASED, Packet
 
@@ -204,3 +204,75 @@ def test_first_frame_of_a_packet_belongs_to_this_packet(number: int) -> None:
     watch(counter, range(1000), lambda frame: (20.0 + 10 * (frame // 100),), lambda frame: (frame != first,))
     missed = {near_m: errors["high"].missed for near_m, errors in counter.bins().items()}
     assert missed == {20.0 + 10 * k: 1 for k in range(10) if k != number}
+
+
+def watch_places(counter: ErrorCounter, frames: range, *places: tuple[float, float, float]) -> None:
+    """Pass frame truths with places (x, y, pitch) in px to the counter."""
+    for frame in frames:
+        counter.saw(frame * 1e-3, [50.0] * len(places), [True] * len(places), places)
+
+
+PLACE = (83.0, 64.0, 1.2)  # 5 px from the pose of `perfect`; half of the array is 9.6 px
+
+
+def test_times_of_packets_start_at_the_first_led_edge_and_end_with_the_exposure() -> None:
+    """The array appears in frame 20; packets 1 and 2 come out 3 and 40 frames after their last frames."""
+    counter, exposure_s = counter_of(), SETTINGS.channel.camera.exposure_s
+    watch(counter, range(203), visible=lambda frame: (frame >= 20,))
+    counter.received(packet(1))
+    watch(counter, range(203, 340))
+    counter.received(packet(2))
+    found = counter.outcomes()
+    late = [round((after + exposure_s) * 1e4) for after in (0.102, 0.139)]
+    assert found["latency"] == {str(ticks): 1 for ticks in late}
+    assert (found["arrays"], found["acquisition"]) == (1, {str(round((0.182 + exposure_s) * 1e4)): 1})
+
+
+def test_only_correct_codewords_in_time_and_once_are_goodput() -> None:
+    sizes = {name: 8 * sum(len(w.block.payload) for w in ws if w.block) for name, ws in packet(0).layers.items()}
+    in_time, late = 99 + round(1e3 * BUDGET_S), 101 + round(1e3 * BUDGET_S)
+    for frames, bits in ((in_time, sum(sizes.values()) - sizes["high"]), (late, 0)):
+        counter = counter_of(frames=range(frames))
+        counter.received(packet(0, ("high", 0, [9], {})))  # accepted with a wrong bit
+        counter.received(packet(0, ("high", 0, [9], {})))
+        assert counter.outcomes()["timely_bits"] == bits
+
+
+def test_packet_without_a_correct_codeword_has_no_latency() -> None:
+    counter = counter_of(frames=range(100))
+    wrong = [(layer, k, [1], FAILED) for layer, words in packet(0).layers.items() for k in range(len(words))]
+    counter.received(packet(0, *wrong))
+    found = counter.outcomes()
+    assert (found["latency"], found["acquisition"], found["arrays"]) == ({}, {}, 1)
+
+
+def test_positions_are_compared_in_the_middle_and_within_half_an_array() -> None:
+    counter = counter_of()
+    watch_places(counter, range(40), (0.0, 0.0, 1.2))
+    watch_places(counter, range(40, 200), PLACE)
+    counter.received(packet(0))
+    pose = packet(1).pose
+    counter.received(packet(1, pose=replace(pose, x=PLACE[0] - 10.0, y=PLACE[1])))
+    found = counter.outcomes()
+    assert (found["located"], found["misplaced"], found["position_px"]) == (1, 1, pytest.approx(5.0))
+    # without places nothing is known
+    counter = counter_of(frames=range(100))
+    counter.received(packet(0))
+    assert (counter.outcomes()["located"], counter.outcomes()["misplaced"]) == (0, 0)
+
+
+def test_detections_of_no_array_are_false() -> None:
+    counter = counter_of(frames=range(200))
+    for hypotheses, false in (([(0, 0.1)], 0), ([(9, 0.1), (0, 0.1)], 0), ([(9, 0.1)], 1), ([(0, 7.0), (3, 0.0)], 2)):
+        counter.found(hypotheses)
+        assert counter.outcomes()["false_detections"] == false
+    assert counter.detected() == (2, 1)
+
+
+def test_acquisition_is_timed_for_each_array() -> None:
+    settings = load_settings("two-arrays")
+    counter = counter_of(settings)
+    watch(counter, range(300), distances=(52.0, 33.0), visible=(True, True))
+    counter.received(perfect(settings, 1, array=1))
+    found = counter.outcomes()
+    assert (found["arrays"], sum(found["acquisition"].values())) == (2, 1)

@@ -17,7 +17,7 @@ from heliograph.link.simulate import default_messages
 from heliograph.link.truth import FrameTruth, open_truth, truth_path
 from heliograph.measure.journal import Journal, Row, approach, sentence
 from heliograph.measure.live_film import LiveFilm
-from heliograph.measure.reception import ReceptionCounter, receive_and_count, receive_film
+from heliograph.measure.reception import ReceptionCounter, TimedReceiver, receive_and_count, receive_film
 from heliograph.media import open_film
 from heliograph.receive.events import LostEvent
 from heliograph.receive.packet import Packet, Status
@@ -209,3 +209,29 @@ def test_speed_is_a_slope() -> None:
     assert approach([(0.0, 50.0)] * 3) is None
     receding = {"event": "packet", "id": 1, "time_s": 2.0, "layers": {}, "distance_m": 9.0, "orientation": "mirrored"}
     assert "receding at 36 km/h, mirrored" in sentence({**receding, "approach_m_s": -10.0})
+
+
+def test_receiver_time_excludes_film_and_counting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that only the receiver and the caller advance."""
+    now = [0.0]
+    monkeypatch.setattr("heliograph.measure.reception.time.process_time", lambda: now[0])
+    one = perfect(link(), 0)
+
+    class Slow:
+        def push(self, _: Any) -> Iterator[Packet]:
+            for packet in (without_codewords(one), one):
+                now[0] += 0.25
+                yield packet
+            now[0] += 1.0
+
+        def finish(self) -> list[Packet]:
+            now[0] += 0.0625
+            return [one]
+
+    counter = ReceptionCounter()
+    receiver = TimedReceiver(Slow(), counter)  # type: ignore[arg-type]
+    for packets in (receiver.push(None), receiver.finish()):  # type: ignore[arg-type]
+        for _ in packets:
+            now[0] += 100.0
+    assert counter.receiver_s == 1.5625
+    assert counter.processing == {"5000": 1, "625": 1}

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2, poisson
 
-from heliograph.measure.statistics import Clustered, Count, clopper_pearson
+from heliograph.measure.statistics import Clustered, Count, clopper_pearson, poisson_interval, quantile, range_m
 
 
 @pytest.mark.parametrize(("errors", "trials"), [(1, 10), (5, 10), (9, 10), (1, 10**6), (37, 12345), (999, 1000)])
@@ -118,3 +118,33 @@ def test_clusters_add_up() -> None:
     whole.add(0, 0)
     assert whole.clusters == 5
     assert whole.design_effect == pytest.approx(np.var(errors, ddof=1) / (100 * 0.1 * 0.9))
+
+
+@pytest.mark.parametrize("events", [0, 1, 3, 40])
+def test_interval_of_a_number_of_events_agrees_with_chi_square_and_covers(events: int) -> None:
+    low, high = poisson_interval(events)
+    tail = 0.025 if events else 0.05
+    assert low == (pytest.approx(chi2.ppf(tail, 2 * events) / 2) if events else 0)
+    assert high == pytest.approx(chi2.ppf(1 - tail, 2 * events + 2) / 2)
+    numbers = range(200)
+    covered = [poisson_interval(k)[0] <= events + 0.7 <= poisson_interval(k)[1] for k in numbers]
+    assert poisson.pmf(numbers, events + 0.7) @ covered >= 0.95
+
+
+def test_quantiles_are_the_smallest_values_that_reach_the_share() -> None:
+    histogram = {"100": 1, "9": 18, "30": 1}
+    assert [quantile(histogram, share) for share in (0.5, 0.9, 0.95, 0.96)] == [9, 9, 30, 100]
+    values = np.random.default_rng(5).integers(0, 40, 101)
+    counted = {str(value): int((values == value).sum()) for value in values}
+    assert quantile(counted, 0.5) == np.median(values)
+    # of 40 arrays 20 are known
+    assert [quantile(histogram, share, 40) for share in (0.25, 0.5, 0.51)] == [9, 100, math.inf]
+
+
+def test_range_is_interpolated_in_the_logarithm_and_bounded_by_the_points() -> None:
+    points = [(25.0, 0.0), (60.0, 1e-3), (80.0, 1e-1), (150.0, 1e-3)]
+    assert range_m(points, 1e-2) == pytest.approx(70)
+    assert range_m(points, 0.2) == math.inf
+    assert range_m(points[2:], 1e-2) == 0
+    assert math.isnan(range_m([(25.0, 0.0), (40.0, math.nan), (60.0, 0.5)], 1e-2))
+    assert range_m([], 1e-2) == math.inf

@@ -27,7 +27,7 @@ from heliograph.base.toml_text import to_toml
 from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.measure.statistics import clopper_pearson
 from heliograph.signal.settings import LAYERS
-from heliograph.sweeps import dataset, executors, plot, sweep
+from heliograph.sweeps import dataset, executors, metrics, plot, sweep
 from heliograph.sweeps import points as points_module
 from heliograph.sweeps.executors import Result, Work
 from heliograph.sweeps.plan import grid, merge_changes, nested, parse_vary, plan, size_warning, varied
@@ -40,7 +40,8 @@ FEW = StopRule(max_codewords=3)
 
 
 def fake_counts(codewords: int, errors: int) -> BlockCounts:
-    layers = {name: LayerCounts(codewords=codewords, codeword_errors=errors) for name in LAYERS}
+    one = LayerCounts(codewords=codewords, codeword_errors=errors, sent_packets=codewords, word_squares=errors)
+    layers = dict.fromkeys(LAYERS, one)
     return BlockCounts(layers, film_s=1.0, frames=1000)
 
 
@@ -171,8 +172,8 @@ def test_report_has_counts_rates_intervals_and_bounds() -> None:
     empty = tally.report()
     layer = empty["layers"]["high"]
     assert (layer["fer"], layer["ber_is_bound"], layer["fer_is_bound"]) == (None, False, False)
-    good = LayerCounts(bits=200 * 512, codewords=200, packets=200)
-    bad = replace(good, bit_errors=10 * 50, bit_squares=10 * 50**2, codeword_errors=10)
+    good = LayerCounts(bits=200 * 512, codewords=200, packets=200, sent_packets=200)
+    bad = replace(good, bit_errors=10 * 50, bit_squares=10 * 50**2, codeword_errors=10, word_squares=10)
     layers, payload = {"high": good, "middle": good, "low": bad}, {"high": 700, "middle": 0, "low": 0}
     tally.add(0, BlockCounts(layers, payload_bits=payload, false_packets=2, duplicates=5, film_s=1.0, frames=1000), 1.0)
     report = json.loads(json.dumps(tally.report()))
@@ -185,6 +186,32 @@ def test_report_has_counts_rates_intervals_and_bounds() -> None:
     assert (low["ber_is_bound"], low["fer_is_bound"]) == (False, False)
     # with ten bad packets in 200, the relative uncertainty is that of the packet count
     assert low["ber_ci"][0] < 0.6 * low["ber"] < 1.6 * low["ber"] < low["ber_ci"][1]
+
+
+def test_metrics_have_known_values() -> None:
+    """100 packets in 30 s: 90 located, 2 misplaced, 8 missed; false: 3 packets, 1 duplicate, 2 misplaced packets."""
+    counts = BlockCounts(
+        payload_bits={"high": 3000, "middle": 0, "low": 0}, packets=100, false_packets=1, uncertain_packets=2,
+        duplicates=1, film_s=30.0, timely_bits=1500, located=90, misplaced=2, position_px=9.0, distances=4,
+        distance_squares=0.16, arrays=3, acquisition={"2000": 1, "1000": 1}, latency={"1000": 19, "1500": 1},
+        processing={"30": 1},
+    )  # fmt: skip
+    found = metrics.values(counts)
+    expected = {
+        "net_bits_per_second": 100, "goodput_bits_per_second": 50, "mota": 1 - (10 + 6) / 100, "motp_px": 0.1,
+        "distance_error": 0.2, "false_alarms_per_minute": 6, "acquired": 2, "acquisition_median_s": 0.2,
+        "acquisition_95_s": None, "latency_median_s": 0.1, "latency_95_s": 0.1,
+    }  # fmt: skip
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+    low, high = (found[f"false_alarms_per_minute_{end}"] for end in ("low", "high"))
+    assert (low, high) == pytest.approx((2 * 0.6187, 2 * 8.7673), rel=1e-4)  # of 3 events
+    assert metrics.values(counts, metrics.PROCESSING) == pytest.approx(dict.fromkeys(metrics.PROCESSING, 0.003))
+
+
+def test_metrics_without_data_are_unknown() -> None:
+    found = metrics.values(BlockCounts())
+    assert {name for name, value in found.items() if value == 0} >= {"packets", "false_packets", "acquired"}
+    assert all(found[name] is None for name in ("mota", "motp_px", "latency_median_s", "false_alarms_per_minute_high"))
 
 
 @pytest.mark.parametrize("bad", [{"min_errors": 0}, {"max_codewords": 0}, {"max_seconds": 0.0}])
@@ -222,7 +249,10 @@ def test_store_is_resumed_and_grows(swept: tuple[Any, Path], tmp_path: Path, mon
     shutil.copytree(swept[1], tmp_path, dirs_exist_ok=True)
     first = json.loads((tmp_path / "points.json").read_text())
     assert [point["stopped_by"] for point in first] == ["codewords", "codewords"]
-    assert len((tmp_path / "points.csv").read_text().splitlines()) == 1 + 2 * 3
+    rows = [*csv.DictReader((tmp_path / "points.csv").read_text().splitlines())]
+    assert len(rows) == 2 * 3
+    assert {row["false_codewords"] for row in rows} == {"0"}
+    assert all(float(row["frame_ms"]) > 0 and row["version"] and row["seed"] == "0" for row in rows)
 
     def never(work: Any) -> Any:
         raise AssertionError("computed again")

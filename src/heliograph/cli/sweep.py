@@ -10,6 +10,7 @@ from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.measure.statistics import Count
 from heliograph.sweeps.executors import fewer_workers
+from heliograph.sweeps.metrics import values
 from heliograph.sweeps.plan import parse_vary_options, plan, size_warning
 from heliograph.sweeps.sweep import bar, count
 from heliograph.sweeps.tally import PointTally, StopRule
@@ -77,7 +78,7 @@ def _show(tallies: Sequence[PointTally]) -> None:
 
 def _rows(tally: PointTally) -> Iterator[list[str]]:
     """Yield a row for each layer; the first row also has the packets and the net rate of all layers."""
-    net = tally.net_bits_per_second
+    net = values(tally.total)["net_bits_per_second"]
     rate = "no data" if net is None else f"{net:.0f}"
     found = f"{tally.total.detected}/{tally.total.packets}"
     for name, layer in tally.total.layers.items():

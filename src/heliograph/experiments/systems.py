@@ -8,6 +8,7 @@ bit, and the luminances are added. A pattern then carries 64 or 16 bits instead 
 correlation of errors within a film.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -25,6 +26,7 @@ from heliograph.experiments.links import static_link, true_pose
 from heliograph.experiments.plots import DARK_GRAY
 from heliograph.experiments.report import Context, ExperimentResult, Finding, Table, verdict_of
 from heliograph.link.settings import LinkSettings
+from heliograph.measure import statistics
 from heliograph.measure.bench import window_margin_px
 from heliograph.measure.statistics import Clustered, Count
 from heliograph.receive.api import make_receiver
@@ -225,19 +227,10 @@ def error_free_m(points: Points) -> tuple[float, Count] | None:
 
 def range_m(points: Points, rate: float) -> float | None:
     """Distance in m at which the error rate exceeds a rate, by log-linear interpolation; None if out of range."""
-    before: tuple[float, float] | None = None
-    for z, count in points:
-        if not count.trials:
-            return None
-        # half an error stands for none
-        log = float(np.log10(max(count.errors, 0.5) / count.trials))
-        if log > np.log10(rate):
-            if before is None:
-                return None
-            fraction = (np.log10(rate) - before[1]) / (log - before[1])
-            return float(before[0] + fraction * (z - before[0]))
-        before = z, log
-    return None
+    # half an error stands for none
+    rates = [(z, max(count.errors, 0.5) / count.trials if count.trials else math.nan) for z, count in points]
+    found = statistics.range_m(rates, rate)
+    return found if 0 < found < math.inf else None
 
 
 def _rates_plot(points: Mapping[str, Points]) -> Figure:

@@ -139,6 +139,8 @@ class FrameTruth:
     distances_m: Sequence[float]
     # True for arrays with all LEDs in view
     visible: Sequence[bool]
+    # Centre (x, y) and pitch of each array in px; empty if unknown
+    places: Sequence[Sequence[float]] = ()
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,11 @@ class TruthFile:
         for row in self.rows():
             arrays = row["arrays"]
             yield FrameTruth(
-                int(row["index"]), float(row["time_s"]), arrays["distance_m"].tolist(), arrays["visible"].tolist()
+                int(row["index"]),
+                float(row["time_s"]),
+                arrays["distance_m"].tolist(),
+                arrays["visible"].tolist(),
+                arrays[["x", "y", "pitch_px"]].tolist(),
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:

@@ -4,7 +4,6 @@ The channel renders only windows around the arrays; the pixels are equal to the 
 """
 
 import math
-import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -30,9 +29,9 @@ def run_block(
     """Simulate, receive and count a block; a function of settings and seed."""
     settings = dithered(block_settings(settings, max_packets), seed)
     film = LiveFilm(settings, random_messages(settings, seed), seed, recordings, window_margin_px(settings))
-    reception, began = ReceptionCounter(film), time.process_time()
+    reception = ReceptionCounter(film)
     deque(receive_and_count(film, settings.signal, settings, reception), maxlen=0)
-    return _counts(reception, settings, time.process_time() - began - film.simulation_s)
+    return _counts(reception, settings)
 
 
 def block_settings(settings: LinkSettings, max_packets: int | None = None) -> LinkSettings:
@@ -109,7 +108,7 @@ def window_margin_px(settings: LinkSettings) -> int:
     return max(12, math.ceil(min(side, settings.receive.detect.max_side_px) / 2))
 
 
-def _counts(reception: ReceptionCounter, settings: LinkSettings, receiver_s: float) -> BlockCounts:
+def _counts(reception: ReceptionCounter, settings: LinkSettings) -> BlockCounts:
     errors = reception.errors
     assert errors is not None
     bins = errors.bins()
@@ -122,12 +121,11 @@ def _counts(reception: ReceptionCounter, settings: LinkSettings, receiver_s: flo
         payload_bits={name: sum(8 * array.layers[name].bytes for array in arrays) for name in LAYERS},
         packets=packets,
         detected=detected,
-        false_codewords=errors.false_codewords,
-        false_packets=errors.false_packets,
-        duplicates=errors.duplicates,
         film_s=reception.frames * settings.channel.camera.frame_period_s,
         frames=reception.frames,
         distances=len(distance_errors),
         distance_squares=math.fsum(error**2 for error in distance_errors),
-        receiver_s=max(receiver_s, 0.0),
+        receiver_s=reception.receiver_s,
+        processing=dict(reception.processing),
+        **errors.outcomes(),
     )

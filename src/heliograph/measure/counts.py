@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field, fields
 from typing import Annotated, Any, Self
 
 from pydantic import Field, TypeAdapter, ValidationError
@@ -11,9 +11,13 @@ from heliograph.measure.statistics import Clustered, Count
 from heliograph.signal.settings import LAYERS
 
 MAX_NUMBER = 1e12  # upper bound of seconds and metres in a file
+TICK_S = 1e-4  # resolution of counted times in s
+BUDGET_S = 0.1  # longest time in s between the end of a packet and the output of a timely packet
 
 Number = Annotated[int, Field(strict=True, ge=0, lt=2**63)]
 Amount = Annotated[float, Field(strict=True, ge=0, lt=MAX_NUMBER)]
+# Number of times by value; the values in `TICK_S` are texts, the keys of JSON
+Histogram = Mapping[Annotated[str, Field(pattern=r"^\d{1,15}$")], Number]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,9 @@ class LayerCounts:
     final_raw_bits: Number = 0
     final_raw_errors: Number = 0
     final_raw_squares: Number = 0
+    # Sent packets, and the sum of squared wrong codewords per packet
+    sent_packets: Number = 0
+    word_squares: Number = 0
 
     @classmethod
     def of_packet(cls, bits: Count, raw: Count, words: Count, final_raw: Count | None = None) -> Self:
@@ -46,12 +53,15 @@ class LayerCounts:
         last = final_raw or raw
         trials = (bits.trials, bits.errors, raw.trials, raw.errors, words.trials, words.errors, 0)
         squares = (bits.errors**2, raw.errors**2)
-        return cls(*trials, int(bits.trials > 0), *squares, last.trials, last.errors, last.errors**2)
+        return cls(
+            *trials, int(bits.trials > 0), *squares, last.trials, last.errors, last.errors**2, 1, words.errors**2
+        )
 
     @classmethod
-    def of_missed(cls, codewords: int) -> Self:
-        """Return the counts of a missed packet."""
-        return cls(codewords=codewords, codeword_errors=codewords, missed=codewords)
+    def of_missed(cls, codewords: int, packets: int = 1) -> Self:
+        """Return the counts of missed packets of equal size."""
+        counts = {"codewords": codewords, "codeword_errors": codewords, "missed": codewords}
+        return cls(**counts, sent_packets=packets, word_squares=codewords**2 // packets)
 
     def __add__(self, other: "LayerCounts") -> "LayerCounts":
         return LayerCounts(*map(operator.add, astuple(self), astuple(other)))
@@ -81,14 +91,9 @@ class LayerCounts:
         return Clustered(*counts, scattered=True)
 
     @property
-    def words(self) -> Count:
-        """Sent and wrong codewords."""
-        return Count(self.codewords, self.codeword_errors)
-
-    @property
-    def received(self) -> "LayerCounts":
-        """Counts of received packets only."""
-        return self - LayerCounts.of_missed(self.missed)
+    def words(self) -> Clustered:
+        """Sent and wrong codewords; the codewords of a packet fail together."""
+        return Clustered(self.codewords, self.codeword_errors, self.sent_packets, self.word_squares)
 
 
 Layers = Mapping[str, LayerCounts]  # counts by layer
@@ -135,6 +140,22 @@ class BlockCounts:
     distance_squares: Amount = 0.0
     # Processor time of the receiver in s
     receiver_s: Amount = field(default=0.0, compare=False)
+    # Received packets without a codeword of identities that no array has, and detections of no array
+    uncertain_packets: Number = 0
+    false_detections: Number = 0
+    # Payload of correct codewords in bits, in packets received within `BUDGET_S`
+    timely_bits: Number = 0
+    # Received packets within half an array of the true position, with the sum of their errors in px, and beyond
+    located: Number = 0
+    misplaced: Number = 0
+    position_px: Amount = 0.0
+    # Arrays with a complete packet, and times from the first view to the first packet with a correct codeword
+    arrays: Number = 0
+    acquisition: Histogram = field(default_factory=dict)
+    # Times from the start of a packet to the output of the packet, with a correct codeword
+    latency: Histogram = field(default_factory=dict)
+    # Processor times from the frame to the output of a packet with a codeword
+    processing: Histogram = field(default_factory=dict, compare=False)
 
     @property
     def codewords(self) -> int:
@@ -143,15 +164,11 @@ class BlockCounts:
 
     def __add__(self, other: "BlockCounts") -> "BlockCounts":
         starts = dict.fromkeys([*self.bins, *other.bins])
-        numbers = (
-            "packets", "detected", "false_codewords", "false_packets", "duplicates", "film_s", "frames", "distances",
-            "distance_squares", "receiver_s",
-        )  # fmt: skip
+        names = [part.name for part in fields(self)[2:]]
         return BlockCounts(
             pooled([self.layers, other.layers]),
             {start: pooled(part.bins[start] for part in (self, other) if start in part.bins) for start in starts},
-            {name: bits + other.payload_bits[name] for name, bits in self.payload_bits.items()},
-            **{name: getattr(self, name) + getattr(other, name) for name in numbers},
+            **{name: _sum(getattr(self, name), getattr(other, name)) for name in names},
         )
 
     def to_plain(self) -> dict[str, Any]:
@@ -177,12 +194,24 @@ class BlockCounts:
         if block.detected > block.packets:
             raise ValueError("more packets are detected than were sent")
         for counts in (layer for part in parts for layer in part.values()):
-            kinds = (counts.decoded, counts.raw, counts.final_raw)
+            kinds = (counts.decoded, counts.raw, counts.final_raw, counts.words)
             errors_fit = all(kind.errors <= kind.trials and kind.squares <= kind.errors**2 for kind in kinds)
             words_fit = counts.missed <= counts.codeword_errors <= counts.codewords
             if not (errors_fit and words_fit and counts.packets <= counts.bits):
                 raise ValueError("more errors than trials")
         return block
+
+
+def ticks(time_s: float) -> str:
+    """Return the key of a time in a histogram."""
+    return str(round(max(time_s, 0.0) / TICK_S))
+
+
+def _sum(one: Any, other: Any) -> Any:
+    """Return the sum of two numbers or histograms."""
+    if isinstance(one, Mapping):
+        return {key: one.get(key, 0) + other.get(key, 0) for key in {**one, **other}}
+    return one + other
 
 
 _BLOCK = TypeAdapter(BlockCounts)

@@ -1,7 +1,8 @@
 """Error counts of received packets by layer and distance."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters
-from heliograph.measure.counts import LayerCounts, Layers, no_errors, pooled
+from heliograph.measure.counts import BUDGET_S, LayerCounts, Layers, no_errors, pooled, ticks
 from heliograph.measure.statistics import Count
 from heliograph.receive.packet import ERASED, Packet
 from heliograph.signal.block import pack
@@ -28,14 +29,24 @@ class _Sent:
     # At the frame nearest to the middle of the packet, at a distance of `off_middle` packets
     distance_m: float = 0.0
     off_middle: float = 1.0
+    # Centre (x, y) and pitch in px; empty if unknown
+    place: Sequence[float] = ()
     # Of the best reception; empty for a missed packet
     counts: Layers = field(default_factory=dict)
-    # Correct codewords
+    # Correct codewords, and their payload in bits
     right: int = 0
+    payload_bits: int = 0
+    # End of the exposure that completed the best reception, and the time since the start and the end of the packet
+    received_s: float = 0.0
+    latency_s: float = 0.0
+    delay_s: float = 0.0
     # True if the receiver detected the header
     found: bool = False
     # Relative error of the distance of the best reception, at most 1; NaN for a missed packet
     distance_error: float = math.nan
+    # Error of the position of the best reception in px and in sides of the array; NaN if unknown
+    position_px: float = math.nan
+    position_sides: float = math.nan
 
 
 class ErrorCounter:
@@ -49,15 +60,25 @@ class ErrorCounter:
         self.uncertain_packets = 0
         self.false_codewords = 0
         self.duplicates = 0
+        self.false_detections = 0
+        self._visible_s: dict[int, float] = {}
         self._last_s: float | None = None
         self._times_s: list[float] = []
 
-    def saw(self, time_s: float, distances_m: Sequence[float], visible: Sequence[bool]) -> None:
+    def saw(
+        self,
+        time_s: float,
+        distances_m: Sequence[float],
+        visible: Sequence[bool],
+        places: Sequence[Sequence[float]] = (),
+    ) -> None:
         """Add the truth of a frame, in temporal order."""
         lost, self._last_s = self._lost_before(time_s), time_s
         self._times_s.append(time_s)
         for array, (distance, in_view) in enumerate(zip(distances_m, visible, strict=True)):
-            number, place = self._packet_at(array, time_s)
+            if in_view:
+                self._visible_s.setdefault(array, time_s)
+            number, fraction = self._packet_at(array, time_s)
             if number < 0:
                 continue
             sent = self._sent[array].setdefault(number, _Sent())
@@ -68,14 +89,16 @@ class ErrorCounter:
                 if before is not None:
                     before.frames += 1
             sent.hidden += not in_view
-            if abs(place - 0.5) < sent.off_middle:
-                sent.distance_m, sent.off_middle = distance, abs(place - 0.5)
+            if abs(fraction - 0.5) < sent.off_middle:
+                sent.distance_m, sent.off_middle = distance, abs(fraction - 0.5)
+                sent.place = places[array] if places else ()
 
-    def found(self, identity: int, start_time_s: float) -> None:
-        """Add a detected header; ignore false detections."""
-        sent = self._sent_at(identity, start_time_s)
-        if sent is not None:
-            sent[2].found = True
+    def found(self, hypotheses: Iterable[tuple[int, float]]) -> None:
+        """Add a detection with the identity and start time of each hypothesis; count false detections."""
+        found = [place[2] for hypothesis in hypotheses if (place := self._sent_at(*hypothesis)) is not None]
+        for sent in found:
+            sent.found = True
+        self.false_detections += not found
 
     def received(self, packet: Packet) -> None:
         """Count a received packet."""
@@ -84,10 +107,18 @@ class ErrorCounter:
             self._count_false(packet)
             return
         array, number, sent = place
-        counts, right = self._compare(self._senders[array], number, packet)
+        counts, right, payload_bits = self._compare(self._senders[array], number, packet)
         self.duplicates += bool(sent.counts)
         if not sent.counts or right > sent.right:
-            sent.counts, sent.right = counts, right
+            sent.counts, sent.right, sent.payload_bits = counts, right, payload_bits
+            sent.received_s = self._times_s[-1] + self._settings.channel.camera.exposure_s
+            start_s, packet_s = self._settings.channel.arrays[array].start_s, self._packet_s(array)
+            sent.latency_s = sent.received_s - start_s - number * packet_s
+            sent.delay_s = sent.latency_s - packet_s
+            if sent.place:
+                x, y, pitch = sent.place
+                sent.position_px = math.hypot(packet.pose.x - x, packet.pose.y - y)
+                sent.position_sides = sent.position_px / (pitch * self._settings.signal.side)
             sent.distance_error = float(np.minimum(1.0, abs(packet.distance_m / sent.distance_m - 1)))
 
     def bins(self) -> dict[float, Layers]:
@@ -110,6 +141,31 @@ class ErrorCounter:
     def distance_errors(self) -> list[float]:
         """Return the relative distance errors of the received packets; receivers may state no distance."""
         return [sent.distance_error for _, _, sent in self._counted() if not math.isnan(sent.distance_error)]
+
+    def outcomes(self) -> dict[str, Any]:
+        """Return the counts of detection, position and time by the names of `BlockCounts`."""
+        counted = [sent for _, _, sent in self._counted()]
+        arrays = {array for array, _, _ in self._counted()}
+        read = [sent for sent in counted if sent.right]
+        near = [sent.position_px for sent in counted if sent.position_sides <= 0.5]
+        firsts = {array: [s.received_s for s in self._sent[array].values() if s.right] for array in arrays}
+        waits_s = [
+            min(times) - self._visible_s.get(array, self._times_s[0]) for array, times in firsts.items() if times
+        ]
+        return {
+            "false_codewords": self.false_codewords,
+            "false_packets": self.false_packets,
+            "uncertain_packets": self.uncertain_packets,
+            "false_detections": self.false_detections,
+            "duplicates": self.duplicates,
+            "timely_bits": sum(sent.payload_bits for sent in read if sent.delay_s <= BUDGET_S),
+            "located": len(near),
+            "misplaced": sum(sent.position_sides > 0.5 for sent in counted),
+            "position_px": math.fsum(near),
+            "arrays": len(arrays),
+            "acquisition": dict(Counter(map(ticks, waits_s))),
+            "latency": dict(Counter(ticks(sent.latency_s) for sent in read)),
+        }
 
     def report(self) -> list[dict[str, Any]]:
         """Return the bins as plain values for JSON."""
@@ -138,9 +194,9 @@ class ErrorCounter:
         sent = self._sent[array].get(number)
         return None if sent is None else (array, number, sent)
 
-    def _compare(self, sender: Transmitter, number: int, packet: Packet) -> tuple[Layers, int]:
-        """Return counts and the number of correct codewords of a packet; count false codewords."""
-        layers, right = no_errors(), 0
+    def _compare(self, sender: Transmitter, number: int, packet: Packet) -> tuple[Layers, int, int]:
+        """Return counts, correct codewords and their payload in bits; count false codewords."""
+        layers, right, payload_bits = no_errors(), 0, 0
         for name, words in packet.layers.items():
             code, blocks = sender.format_of(number).layers[name].code, sender.blocks(number)[name]
             if len(words) != len(blocks) or words[0].bits.size != code.k or words[0].raw.size != code.length:
@@ -157,10 +213,12 @@ class ErrorCounter:
                 _compare_raw(final_raw, word.final_raw, coded)
                 bits.add(code.k, wrong)
                 sent_words.add(1, wrong > 0 or word.status != "ok")
-                right += word.status == "ok" and wrong == 0
+                if word.status == "ok" and wrong == 0:
+                    right += 1
+                    payload_bits += 8 * len(word.block.payload) if word.block else 0
                 self.false_codewords += word.status == "ok" and wrong > 0
             layers[name] = LayerCounts.of_packet(bits, raw, sent_words, final_raw)
-        return layers, right
+        return layers, right, payload_bits
 
     def _count_false(self, packet: Packet) -> None:
         if not packet.has_codeword and packet.identity not in self._settings.transmit.identities:

@@ -1,6 +1,5 @@
 """Simulated frames and truth in memory, in place of a film and a truth file."""
 
-import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from itertools import islice
@@ -34,20 +33,12 @@ class LiveFilm:
         # blocks of small windows save 15 % of the time by better cache use
         self._ahead = 1 if margin_px is None else 64
         self._truths: deque[FrameTruth] = deque()
-        # Processor time of the simulation in s
-        self.simulation_s = 0.0
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames; the truth of a frame is available before the frame."""
-        while rendered := self._render():
+        while rendered := list(islice(self._rendered, self._ahead)):
             self._truths.extend(_frame_truth(truth) for _, truth in rendered)
             yield from (frame for frame, _ in rendered)
-
-    def _render(self) -> list[tuple[Frame, Truth]]:
-        began = time.thread_time()
-        rendered = list(islice(self._rendered, self._ahead))
-        self.simulation_s += time.thread_time() - began
-        return rendered
 
     def frames(self) -> Iterator[FrameTruth]:
         """Yield the truth of each frame in temporal order."""
@@ -57,5 +48,7 @@ class LiveFilm:
 
 def _frame_truth(truth: Truth) -> FrameTruth:
     # single precision as in a truth file
-    distances = [float(np.float32(array.distance_m)) for array in truth.arrays]
-    return FrameTruth(truth.index, truth.time_s, distances, [array.visible for array in truth.arrays])
+    values = [(array.distance_m, array.x, array.y, array.pitch_px) for array in truth.arrays]
+    distances, *places = np.array(values, np.float32).reshape(-1, 4).T.tolist()
+    visible = [array.visible for array in truth.arrays]
+    return FrameTruth(truth.index, truth.time_s, distances, visible, [*zip(*places, strict=True)])

@@ -1,7 +1,9 @@
 """Reception of a film: codewords by array and layer, messages, and errors if the truth is known."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,13 +13,14 @@ from heliograph.base.frames import Frame
 from heliograph.link.film import FrameProgress, FrameSource, is_packet, read_packets, silent
 from heliograph.link.settings import LinkSettings, load_settings, preset
 from heliograph.link.truth import FrameTruth, signal_of
+from heliograph.measure.counts import ticks
 from heliograph.measure.errors import ErrorCounter
 from heliograph.media import FilmReader, open_film
 from heliograph.receive.api import AnyObserver, choose_receiver, make_receiver
 from heliograph.receive.detect.budget import SearchLoad
 from heliograph.receive.detect.detection import Detection
 from heliograph.receive.events import DetectEvent, DropEvent, MissedStartEvent
-from heliograph.receive.packet import Packet
+from heliograph.receive.packet import Packet, Receiver
 from heliograph.signal.block import Block, payload_bytes
 from heliograph.signal.fountain.files import FileGatherer, FileKey, FileProgress
 from heliograph.signal.message import Message, Reassembler
@@ -93,6 +96,9 @@ class ReceptionCounter:
         self.files = files or FileGatherer()
         self.progress: tuple[FileProgress, ...] = ()
         self.file_rows: dict[FileKey, dict[str, Any]] = {}
+        # Processor time of the receiver in s, and times from a frame to a packet with a codeword
+        self.receiver_s = 0.0
+        self.processing = Counter[str]()
 
     def saw(self, index: int) -> None:
         """Count a frame and advance the truth."""
@@ -100,7 +106,7 @@ class ReceptionCounter:
         if self._truths is None or self.errors is None:
             return
         for truth in self._truths:
-            self.errors.saw(truth.time_s, truth.distances_m, truth.visible)
+            self.errors.saw(truth.time_s, truth.distances_m, truth.visible, truth.places)
             if truth.index >= index:
                 break
 
@@ -108,8 +114,7 @@ class ReceptionCounter:
         """Count a detection."""
         self.detections += 1
         if self.errors is not None:
-            for hypothesis in detection.hypotheses:
-                self.errors.found(hypothesis.identity, hypothesis.start_time_s)
+            self.errors.found((one.identity, one.start_time_s) for one in detection.hypotheses)
 
     def add(self, packet: Packet) -> Iterator[Message]:
         """Count a packet and yield the completed messages."""
@@ -193,9 +198,35 @@ def receive_and_count(
                 yield frame
                 progress(reception.frames)
 
-    receiver = make_receiver(signal, settings.receive, count_event)
+    receiver = TimedReceiver(make_receiver(signal, settings.receive, count_event), reception)
     for packet in read_packets(CountedFilm(), signal, receiver):
         yield packet, list(reception.add(packet))
+
+
+class TimedReceiver:
+    """Receiver that reports the processor time to the counter."""
+
+    def __init__(self, receiver: Receiver, reception: ReceptionCounter):
+        self._receiver, self._reception = receiver, reception
+
+    def push(self, frame: Frame) -> Iterator[Packet]:
+        """Take the next frame; see `Receiver`."""
+        return self._timed(lambda: self._receiver.push(frame))
+
+    def finish(self) -> Iterator[Packet]:
+        """End the film; see `Receiver`."""
+        return self._timed(self._receiver.finish)
+
+    def _timed(self, call: Callable[[], Iterable[Packet]]) -> Iterator[Packet]:
+        """Yield the packets of a call; stop the clock while the caller has a packet."""
+        began, spent_s = time.process_time(), 0.0
+        for packet in call():
+            spent_s += time.process_time() - began
+            if packet.has_codeword:
+                self._reception.processing[ticks(spent_s)] += 1
+            yield packet
+            began = time.process_time()
+        self._reception.receiver_s += spent_s + time.process_time() - began
 
 
 @dataclass(frozen=True, slots=True)

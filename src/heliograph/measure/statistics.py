@@ -1,9 +1,11 @@
 """Error counts and confidence intervals."""
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
 
-from scipy.special import betaincinv, stdtrit
+from scipy.special import betaincinv, gammaincinv, stdtrit
 
 
 @dataclass(slots=True)
@@ -119,3 +121,42 @@ def clopper_pearson(errors: float, trials: float, confidence: float = 0.95) -> t
     low = float(betaincinv(errors, trials - errors + 1, tail)) if errors else 0.0
     high = float(betaincinv(errors + 1, trials - errors, 1 - tail)) if errors < trials else 1.0
     return low, high
+
+
+def poisson_interval(events: int, confidence: float = 0.95) -> tuple[float, float]:
+    """Return the exact confidence interval of an expected number of events (Garwood 1936); one-sided for zero."""
+    tail = (1 - confidence) / (2 if events else 1)
+    return float(gammaincinv(events, tail)) if events else 0.0, float(gammaincinv(events + 1, 1 - tail))
+
+
+def quantile(histogram: Mapping[str, int], share: float, total: int | None = None) -> float:
+    """Return the smallest value that a share of all values does not exceed; infinite if too few of `total` are known.
+
+    The keys of the histogram are the values as texts.
+    """
+    rank, counted = share * (sum(histogram.values()) if total is None else total), 0
+    for value in sorted(histogram, key=float):
+        counted += histogram[value]
+        if counted >= rank:
+            return float(value)
+    return math.inf
+
+
+def range_m(points: Sequence[tuple[float, float]], limit: float) -> float:
+    """Return the distance in m at which an error rate first exceeds a limit, by log-linear interpolation.
+
+    The result is 0 if the rate at the nearest point exceeds the limit, infinite if no rate does, and NaN if a nearer
+    rate is NaN. Points are distance in m and rate, near first.
+    """
+    before: tuple[float, float] | None = None
+    for distance_m, rate in points:
+        if math.isnan(rate):
+            return math.nan
+        log = math.log10(max(rate, 1e-12))
+        if log > math.log10(limit):
+            if before is None:
+                return 0.0
+            fraction = (math.log10(limit) - before[1]) / (log - before[1])
+            return before[0] + fraction * (distance_m - before[0])
+        before = distance_m, log
+    return math.inf

@@ -10,6 +10,7 @@ import numpy as np
 from heliograph import __version__
 from heliograph.base.errors import HeliographError
 from heliograph.signal.settings import LAYERS
+from heliograph.sweeps.metrics import METRICS
 from heliograph.sweeps.tally import PointTally, flat_report
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ COUNTS = {
     "final_raw_bits": "coded bits of received packets by the last equalisation",
     "final_raw_errors": "wrong coded bits by the last equalisation",
     "final_raw_squares": "sum of squared final raw errors per packet",
+    "sent_packets": "packets sent",
+    "word_squares": "sum of squared wrong codewords per packet",
 }
 
 ERROR_RATES = {
@@ -44,19 +47,6 @@ ERROR_RATES = {
     "final_raw_ber": "bit error rate before the turbo decoder, by the last equalisation",
     "fer": "codeword error rate",
 }
-
-POINT_VALUES = (
-    ("net_bits_per_second", "bit/s", "payload of decoded codewords per time"),
-    ("film_seconds", "s", "length of the films"),
-    ("packets", "1", "complete packets in the films"),
-    ("detected", "1", "complete packets with a detected header or decoded data"),
-    ("false_codewords", "1", "accepted codewords that were not sent"),
-    ("false_packets", "1", "received packets that were not sent"),
-    ("duplicates", "1", "packets received again"),
-    ("distance_error", "1", "relative rms error of the distance of received packets"),
-    ("blocks", "1", "films counted"),
-)
-"""Variables of a point: name, unit and meaning."""
 
 
 def need_xarray() -> None:
@@ -84,7 +74,8 @@ def to_dataset(vary: Mapping[str, Sequence[Any]], tallies: Sequence[PointTally])
         values = np.array([[np.nan if layer[name] is None else layer[name] for layer in row] for row in layers])
         attributes = {"units": "1", "long_name": text}
         variables[name] = ((*vary, "layer"), values.reshape(*shape, len(LAYERS)), attributes)
-    for name, units, text in POINT_VALUES:
+    of_points = {name: (metric.unit, metric.text) for name, metric in METRICS.items()}
+    for name, (units, text) in {**of_points, "blocks": ("1", "films counted")}.items():
         values = np.array([np.nan if report[name] is None else report[name] for report in reports])
         variables[name] = (tuple(vary), values.reshape(shape), {"units": units, "long_name": text})
     coordinates = {key: (key, _values(values), {"units": unit(key)}) for key, values in vary.items()}
@@ -95,9 +86,7 @@ def _layer_variables() -> dict[str, str]:
     """Return the meaning of each variable of a layer by name."""
     variables = dict(COUNTS)
     for name, text in ERROR_RATES.items():
-        method = "Clopper-Pearson"
-        if name != "fer":
-            method += " at the effective number of bits, as bits of a packet fail together"
+        method = "Clopper-Pearson at the effective number of trials, as those of a packet fail together"
         variables[name] = text
         for end in ("low", "high"):
             variables[f"{name}_{end}"] = f"{text}, {end} end of the 95 % interval ({method})"

@@ -21,6 +21,7 @@ from heliograph.base.errors import HeliographError, shown
 from heliograph.base.files import write_whole
 from heliograph.measure.counts import BlockCounts
 from heliograph.sweeps.executors import Workers, fewer_workers, open_workers
+from heliograph.sweeps.metrics import METRICS
 from heliograph.sweeps.plan import merge_changes, plan, size_warning, value_lists
 from heliograph.sweeps.points import build, run_job
 from heliograph.sweeps.store import Store
@@ -254,9 +255,9 @@ def write_results(folder: Path, tallies: Sequence[PointTally]) -> None:
     reports = [tally.report() for tally in tallies]
     write_whole(folder / "points.json", (json.dumps(reports, indent=1) + "\n").encode())
     rows = [
-        point["settings"] | {"layer": name} | flat_report(layer)
-        | {key: point[key] for key in ("packets", "detected", "net_bits_per_second")}
-        for point in reports for name, layer in point["layers"].items()
+        point["settings"] | {"layer": name} | flat_report(layer) | {key: point[key] for key in METRICS}
+        | tally.machine_times | {key: point[key] for key in ("blocks", "seed", "version", *tally.labels)}
+        for tally, point in zip(tallies, reports, strict=True) for name, layer in point["layers"].items()
     ]  # fmt: skip
     text = io.StringIO()
     table = csv.DictWriter(text, list(rows[0]), lineterminator="\n")

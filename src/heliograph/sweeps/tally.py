@@ -1,6 +1,5 @@
 """Counts of a point, and the stop rule."""
 
-import math
 import statistics
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -13,6 +12,7 @@ from heliograph import __version__
 from heliograph.base.config import CONFIG, clear_errors
 from heliograph.measure.bench import is_static
 from heliograph.measure.counts import BlockCounts, LayerCounts
+from heliograph.sweeps.metrics import PROCESSING, values
 from heliograph.sweeps.points import Point
 
 
@@ -32,8 +32,10 @@ class StopRule:
 class PointTally:
     """Sum of the blocks of a point in block order, independent of the order of arrival."""
 
-    def __init__(self, point: Point, rule: StopRule, may_refuse: bool = False):
+    def __init__(self, point: Point, rule: StopRule, may_refuse: bool = False, labels: Mapping[str, Any] | None = None):
         self.point, self.rule = point, rule
+        # further values of the results, such as the version of the scenarios
+        self.labels = dict(labels or {})
         # True if the receiver may refuse the films, and the error if it does
         self.may_refuse, self.refusal = may_refuse, ""
         self.total = BlockCounts()
@@ -90,21 +92,10 @@ class PointTally:
         return max(counted, self.seconds / self.rule.max_seconds if self.rule.max_seconds else 0.0)
 
     @property
-    def net_bits_per_second(self) -> float | None:
-        """Payload of decoded codewords per film time; None for zero films."""
-        total = self.total
-        return sum(total.payload_bits.values()) / total.film_s if total.film_s else None
-
-    @property
-    def frame_ms(self) -> float:
-        """Processor time of the receiver in ms per frame: median of the blocks, as the first loads compiled code."""
-        return statistics.median(self._frame_ms or [math.nan])
-
-    @property
-    def distance_error(self) -> float | None:
-        """Relative rms error of the distances of received packets; None for no distance."""
-        total = self.total
-        return math.sqrt(total.distance_squares / total.distances) if total.distances else None
+    def machine_times(self) -> dict[str, float | None]:
+        """Processor times of the receiver; of a frame in ms the median of the blocks, as the first compiles code."""
+        frame_ms = statistics.median(self._frame_ms) if self._frame_ms else None
+        return {"frame_ms": frame_ms, **values(self.total, PROCESSING)}
 
     def report(self) -> dict[str, Any]:
         """Return the point as plain values for JSON."""
@@ -112,18 +103,12 @@ class PointTally:
         out: dict[str, Any] = {
             "settings": dict(self.point.choice),
             "layers": {name: layer_report(layer) for name, layer in total.layers.items()},
-            "net_bits_per_second": self.net_bits_per_second,
-            "packets": total.packets,
-            "detected": total.detected,
-            "false_codewords": total.false_codewords,
-            "false_packets": total.false_packets,
-            "duplicates": total.duplicates,
-            "distance_error": self.distance_error,
-            "film_seconds": round(total.film_s, 9),
+            **values(total),
             "blocks": self.blocks,
             "stopped_by": self.ending,
             "seed": self.point.seed,
             "version": __version__,
+            **self.labels,
         }
         if not is_static(self.point.settings):
             bins = sorted(total.bins.items())
@@ -140,7 +125,7 @@ class PointTally:
 def layer_report(counts: LayerCounts) -> dict[str, Any]:
     """Return counts, rates and 95 % intervals of a layer; rates are None for zero trials.
 
-    Intervals are Clopper-Pearson intervals, for bits at the effective number of bits (see `Clustered`). "ber" is the
+    Intervals are Clopper-Pearson intervals at the effective number of bits or codewords (see `Clustered`). "ber" is the
     bit error rate after the turbo decoder, "raw_ber" the rate by the first equalisation, and "final_raw_ber" the rate
     by the last equalisation, after cancellation of decoded codewords. "ber_is_bound" etc. mark zero errors with an
     upper bound. "packets_read" is the number of packets with counted bits.

@@ -108,13 +108,13 @@ def film_packets(settings: LinkSettings, rng: np.random.Generator, recordings: R
                 middle = packet.start_time_s + settings.signal.packet_s / 2
                 record = _counted(counter, packet, float(np.interp(middle, times, distances)))
                 records += [record] if record else []
-    missed = {
-        start: {name: LayerCounts.of_missed(counts.missed) for name, counts in layers.items()}
-        for start, layers in counter.bins().items()
-        if any(counts.missed for counts in layers.values())
-    }
     words = PacketFormat(settings.signal).layers["high"].codewords
-    lost = [start + BIN_M / 2 for start, layers in missed.items() for _ in range(layers["high"].missed // words)]
+    missed = {
+        start: {name: LayerCounts.of_missed(counts.missed, number) for name, counts in layers.items()}
+        for start, layers in counter.bins().items()
+        if (number := layers["high"].missed // words)
+    }
+    lost = [start + BIN_M / 2 for start, layers in missed.items() for _ in range(layers["high"].sent_packets)]
     return FilmCounts(records, missed, lost, counter.false_codewords)
 
 
@@ -124,7 +124,8 @@ def _counted(counter: ErrorCounter, packet: Packet, distance_m: float) -> Packet
     counter.received(packet)
     after = counter.total()
     # a packet counts as missed before the reception
-    counts = {name: after[name].received - before[name].received for name in LAYERS}
+    changes = {name: after[name] - before[name] for name in LAYERS}
+    counts = {name: change + LayerCounts.of_missed(-change.missed) for name, change in changes.items()}
     complete = all(layer.codewords > 0 and min(asdict(layer).values()) >= 0 for layer in counts.values())
     return PacketRecord(distance_m, counts) if complete and any(c.raw_bits for c in counts.values()) else None
 
