@@ -104,8 +104,8 @@ def sample_differences(cutouts: Cutouts, side: int) -> Floats:
     return out
 
 
+# reads luminances (n, n) of two frames, by the poses in both and the gain
 ReadPair = Callable[[tuple[AnyFrame, AnyFrame], tuple[Pose, Pose], float], Floats]
-"""Reads luminances (n, n) of two frames, by the poses in both and the gain."""
 
 
 class PlainPacket:

@@ -185,7 +185,7 @@ class Detector:
             # the user chose the size of a given place, so the budget does not apply
             max_work = 1 << 60 if self.parameters.everywhere else left / (len(regions) - k)
             if max_work <= 0:
-                self.budget.skip_blocks(int(np.count_nonzero(busy)))
+                self.budget.skip(blocks=int(np.count_nonzero(busy)))
                 continue
             if self.parameters.start is not None:
                 busy = np.ones_like(busy)
@@ -202,7 +202,7 @@ class Detector:
             left -= work
             if passed < busy.size:
                 skipped = (begin + np.arange(passed, busy.size)) % busy.size
-                self.budget.skip_blocks(int(np.count_nonzero(busy.flat[skipped])))
+                self.budget.skip(blocks=int(np.count_nonzero(busy.flat[skipped])))
                 self._begins[key] = int(skipped[0]) // columns + down, int(skipped[0]) % columns + across
             has_compared |= compared > 0 or passed < busy.size
             for score, across_px, down_px, width, number in best.tolist():
@@ -242,7 +242,7 @@ class Detector:
             if rough is None or rough.score < min_score:
                 break
             if tilt == DETECT.upright_sigma and self.budget.is_low and rough.score < 0.7:
-                self.budget.skip_candidate()
+                self.budget.skip(candidates=1)
                 break
             min_score = parameters.coarse_score
             pose = replace(rough.pose, blur=parameters.blur_px)

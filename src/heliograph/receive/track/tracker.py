@@ -6,6 +6,7 @@ from math import sqrt
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.detect.detection import Detection
@@ -107,9 +108,7 @@ class Tracker:
         state = track.state
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
         mean, covariance = state.expected(HEADER_OBSERVATION)
-        both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
-        both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, state.tilt_covariance
-        prior = Fit(np.append(mean, state.tilt), both)
+        prior = Fit(np.append(mean, state.tilt), block_diag(covariance, state.tilt_covariance))
         fit = fit_array(
             up - down, corner, prior, weights * track.shining, PARAMETERS.pair_steps, smear=self._smear(state)
         )
