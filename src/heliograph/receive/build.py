@@ -118,9 +118,7 @@ def _assemble(
     search = _header_search(settings, signal, synchronous=is_plain)
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
     submit, decoder, numbers = decode_executor(bool(settings.decode.in_background)), PacketDecoder(), count()
-    make_array = partial(
-        ArrayReceiver, submit=submit, decoder=decoder, signal=signal, settings=settings, observe=observe
-    )
+    make = partial(ArrayReceiver, submit=submit, decoder=decoder, signal=signal, settings=settings, observe=observe)
 
     def track(detection: Detection) -> ArrayReceiver:
         view, identity = View.of(detection.fit.pose, detection.orientation), detection.identity
@@ -128,8 +126,8 @@ def _assemble(
         shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
         viewed, key = detection.in_view(view), (identity, detection.orientation, next(numbers))
         tracker = Tracker(signal.side, MotionModel(signal.pattern_period_s, shake_px, view_focal_px))
-        headers, make = HeaderReader(identity, signal, is_plain), partial(make_packet, identity)
-        return make_array(viewed, pairing(viewed), tracker, headers, make, key=key, view=view)
+        headers, packets = HeaderReader(identity, signal, is_plain), partial(make_packet, identity)
+        return make(viewed, pairing(viewed), tracker, headers, packets, key=key, view=view)
 
     return StreamReceiver(clock, search, track, observe)
 

@@ -280,19 +280,14 @@ class PendingPacket:
                 level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
                 cause = packet.identity, packet.first_frame, failure
                 LOG.log(level, "array %d, packet at frame %d is not read: %s", *cause)
-            self._packet = packet = replace(
-                packet,
-                status=packet_status(decoded.words, packet.header_score, packet.pairs_seen),
-                layers=decoded.words,
-                format=self.observations.form.format,
-                reason=str(failure or ""),
-            )
+            status = packet_status(decoded.words, packet.header_score, packet.pairs_seen)
+            form, reason = self.observations.form.format, str(failure or "")
+            self._packet = packet = replace(packet, status=status, layers=decoded.words, format=form, reason=reason)
             for event in decoded.events:
                 self.observe(event)
             cutouts = tuple(self.observations.cutouts) if decoded.cutouts is None else decoded.cutouts
-            self.observe(
-                DecodeEvent(packet.identity, packet, decoded.luminances, cutouts, exposure_range=self.exposure_range)
-            )
+            exposure_range = self.exposure_range
+            self.observe(DecodeEvent(packet.identity, packet, decoded.luminances, cutouts, exposure_range))
         return self._packet
 
 

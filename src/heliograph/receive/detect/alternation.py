@@ -17,6 +17,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.detect import kernels
 from heliograph.receive.detect.kernels import BLOCK_PX
+from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import CombinedFrame, window_around
 
@@ -112,6 +113,20 @@ class SearchParameters:
         """Return the searched sizes in px, (sizes,)."""
         count = int(np.ceil(np.log(self.max_side_px / self.min_side_px) / np.log(DETECT.size_ratio))) + 1
         return np.geomspace(self.min_side_px, self.max_side_px, count)
+
+    def is_in_size_range(self, pose: Pose, side: int) -> bool:
+        """Return True if an array has a size in the searched range."""
+        smallest, largest = size_limits(self.min_side_px, self.max_side_px)
+        return smallest <= side * pose.pitch <= largest
+
+    def is_plausible(self, fit: Fit, full_scale: int) -> bool:
+        """Return True if a fit has the brightness and the tilt of an array."""
+        # pixels with more light than full scale saturate
+        is_bright = self.min_contrast <= fit.gain / full_scale <= 1.25
+        # relative to a given pose
+        stretch, shear = (self.start.stretch, self.start.shear) if self.start is not None else (0.0, 0.0)
+        # LEDs of 22.6 degrees half angle hardly shine beyond 48 degrees
+        return bool(is_bright and np.hypot(fit.pose.stretch - stretch, fit.pose.shear - shear) <= 0.2)
 
 
 FrameWeights = tuple[float, float, float, float]  # weights of four frames in their sum

@@ -188,10 +188,10 @@ class Combination:
         return response(self.slots[1])
 
     @cached_property
-    def leaks(self) -> list[Floats | None]:
+    def leaks(self) -> tuple[Floats | None, ...]:
         """(16, 4) responses to the symbols of the previous and the next pair; None without such light."""
         # slots of the pair weigh 1/2
-        return [response(slots) if np.abs(slots).max() > 1e-3 else None for slots in self.slots[[0, 2]]]
+        return tuple(response(slots) if np.abs(slots).max() > 1e-3 else None for slots in self.slots[[0, 2]])
 
 
 @lru_cache

@@ -326,11 +326,9 @@ class AsynchronousPairing(Pairing):
         first, second = np.tensordot(weights, _cut(frames, part), 1).astype(np.float32)
         # the time of a frame is half a pattern before the middle of the light
         time_s, full = self._clock.time_s(place + combination.sum_time - 0.5), frames[0].full_scale
-        return FramePair(
-            CombinedFrame(frames[0].index, time_s, first, part[:2], full),
-            CombinedFrame(frames[-1].index, time_s, second, part[:2], full),
-            combination=combination,
-        )
+        pattern = CombinedFrame(frames[0].index, time_s, first, part[:2], full)
+        inverse = CombinedFrame(frames[-1].index, time_s, second, part[:2], full)
+        return FramePair(pattern, inverse, combination=combination)
 
 
 def _rounded(patterns: float) -> float:
