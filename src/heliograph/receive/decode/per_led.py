@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from heliograph.base import kernels
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode import kernels
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.header_reader import HeaderReader
