@@ -25,6 +25,7 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError, shown
+from heliograph.base.kernels import sample_cubic
 from heliograph.base.threads import one_thread
 from heliograph.channel.render import Canvas, add_array
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
@@ -32,7 +33,6 @@ from heliograph.channel.settings import ChannelSettings
 from heliograph.channel.weather import seen, transmission
 from heliograph.link.photometry import LightSettings
 from heliograph.link.settings import LinkSettings
-from heliograph.receive.decode.kernels import sample_cubic
 from heliograph.receive.decode.per_led import at_leds
 from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.geometry.footprint import footprints, to_quarters

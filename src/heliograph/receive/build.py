@@ -21,18 +21,18 @@ from heliograph.receive.geometry.pose import pose_of
 from heliograph.receive.geometry.view import View
 from heliograph.receive.receiver import StreamReceiver
 from heliograph.receive.settings import ReceiveSettings, check_pairs
-from heliograph.receive.sync.frame_clock import CameraClock, SynchronousClock
+from heliograph.receive.sync.frame_clock import CameraClock, FrameClock, SynchronousClock
 from heliograph.receive.sync.pairing import AsynchronousPairing, Pairing, SynchronousPairing
 from heliograph.receive.track.kalman import MotionModel
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
+# minimum regularity of a detection in step: that of a header is 0.67 or more, of clutter 0 or less
 PLAIN_REGULARITY = 0.5
-"""Minimum regularity of a detection in step: that of a header is 0.67 or more, of clutter 0 or less."""
 
+# the same out of step, where a header alternates unevenly; the light's clock then drops clutter
 SOFT_REGULARITY = 0.15
-"""Minimum regularity out of step, where a header alternates unevenly; the light's clock then drops clutter."""
 
 MakePacket = Callable[[int], PacketObservations]  # makes the observations of a packet, by the identity of the array
 
@@ -46,11 +46,10 @@ def plain_receiver(
     def pairing(detection: Detection) -> Pairing:
         return SynchronousPairing(detection.start_time_s, detection.time_s, detection.identity, signal)
 
-    search = _header_search(settings, signal, synchronous=True)
     read = read or partial(pair_luminances, side=signal.side, equaliser=settings.plain.equaliser)
     make_packet = partial(PlainPacket, form=PacketFormat(signal), read=read, options=options)
-    track = _array_factory(signal, settings, observe, pairing, make_packet, is_plain=True)
-    return StreamReceiver(SynchronousClock(signal.pattern_period_s), search, track, observe)
+    clock = SynchronousClock(signal.pattern_period_s)
+    return _assemble(signal, settings, observe, clock, pairing, make_packet, is_plain=True)
 
 
 def soft_receiver(
@@ -62,16 +61,11 @@ def soft_receiver(
     options = Decoding(decode.algorithm or "log-map", decode.iterations, soft.feedback, soft.led_by_led, soft.combining)
 
     def pairing(detection: Detection) -> Pairing:
-        start_s, time_s, pose = detection.start_time_s, detection.time_s, detection.fit.pose
-        gains, exposure_s = detection.led_gains, settings.calibration.exposure_s
-        return AsynchronousPairing(
-            start_s, time_s, pose, detection.identity, gains, signal, exposure_s, detection.drift
-        )
+        header = detection.start_time_s, detection.time_s, detection.fit.pose, detection.identity, detection.led_gains
+        return AsynchronousPairing(*header, signal, settings.calibration.exposure_s, detection.drift)
 
-    search = _header_search(settings, signal, synchronous=False)
     make_packet = make_packet or partial(SoftPacket, signal=signal, options=options)
-    track = _array_factory(signal, settings, observe, pairing, make_packet)
-    return StreamReceiver(CameraClock(), search, track, observe)
+    return _assemble(signal, settings, observe, CameraClock(), pairing, make_packet)
 
 
 def search_parameters(settings: ReceiveSettings, signal: SignalSettings, impaired: bool = False) -> SearchParameters:
@@ -111,39 +105,31 @@ def _header_search(settings: ReceiveSettings, signal: SignalSettings, synchronou
     return HeaderSearch(parameters, signal, synchronous, region)
 
 
-def _array_factory(
+def _assemble(
     signal: SignalSettings,
     settings: ReceiveSettings,
     observe: Observer,
+    clock: FrameClock,
     pairing: Callable[[Detection], Pairing],
     make_packet: MakePacket,
     is_plain: bool = False,
-) -> Callable[[Detection], ArrayReceiver]:
-    """Return the maker of an array's receiver."""
+) -> StreamReceiver:
+    """Assemble a receiver of a clock, a search and the tracks of arrays."""
+    search = _header_search(settings, signal, synchronous=is_plain)
     focal_px = settings.calibration.focal_m / settings.calibration.pixel_m
     submit, decoder, numbers = decode_executor(bool(settings.decode.in_background)), PacketDecoder(), count()
+    make = partial(ArrayReceiver, submit=submit, decoder=decoder, signal=signal, settings=settings, observe=observe)
 
     def track(detection: Detection) -> ArrayReceiver:
         view, identity = View.of(detection.fit.pose, detection.orientation), detection.identity
         # a shake moves the image by as many of the camera's pixels in every view
         shake_px, view_focal_px = settings.track.acceleration_px / 2**view.level, focal_px / 2**view.level
-        viewed = detection.in_view(view)
-        return ArrayReceiver(
-            viewed,
-            pairing(viewed),
-            Tracker(signal.side, MotionModel(signal.pattern_period_s, shake_px, view_focal_px)),
-            HeaderReader(identity, signal, is_plain),
-            partial(make_packet, identity),
-            submit,
-            decoder,
-            (identity, detection.orientation, next(numbers)),
-            signal=signal,
-            settings=settings,
-            observe=observe,
-            view=view,
-        )
+        viewed, key = detection.in_view(view), (identity, detection.orientation, next(numbers))
+        tracker = Tracker(signal.side, MotionModel(signal.pattern_period_s, shake_px, view_focal_px))
+        headers, packets = HeaderReader(identity, signal, is_plain), partial(make_packet, identity)
+        return make(viewed, pairing(viewed), tracker, headers, packets, key=key, view=view)
 
-    return track
+    return StreamReceiver(clock, search, track, observe)
 
 
 def decode_executor(in_background: bool) -> Callable[..., Future[Any]]:

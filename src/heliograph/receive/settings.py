@@ -15,23 +15,23 @@ from heliograph.signal.settings import SignalSettings
 
 Equaliser = Literal["none", "inverse"]  # how the plain receiver reads the LEDs of a pair; see `PlainSettings`
 
+# feedback from the soft receiver's decoder to the equaliser; see `SoftSettings`
 Feedback = Literal["none", "decoded", "soft", "propagation"]
-"""Feedback from the soft receiver's decoder to the equaliser; see `SoftSettings`."""
 
 PlaceInPx = Annotated[float, Field(ge=-1e5, le=1e5)]  # coordinate in px, within the width of any sensor
 
+# x and y in px of four corners in turn
 Corners = tuple[PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx, PlaceInPx]
-"""x and y in px of four corners in turn."""
 
 Start = Annotated[int, Field(ge=-(10**5), le=10**5)]  # first column or row of a region, within the width of any sensor
 
 Length = Annotated[int, Field(ge=8, le=10**5)]  # columns or rows of a region
 
+# x, y, columns and rows in px
 Region = tuple[Start, Start, Length, Length]
-"""x, y, columns and rows in px."""
 
+# default minimum size of an array: 123 m and 247 m away in the reference link
 SMALLEST_SIDE_PX = dict.fromkeys(RECEIVERS.built_in, 8.0) | {"soft": 4.0, "screen": 4.0}
-"""Default minimum size of an array: 123 m and 247 m away in the reference link."""
 
 
 @clear_errors

@@ -14,8 +14,8 @@ from scenes import SIDE, draw, drawn_film, film, levels, link, pitch_at, receive
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
+from heliograph.base.kernels import cubic_at_leds, sample_cubic
 from heliograph.link.settings import LinkSettings
-from heliograph.receive.decode import kernels
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.per_led import at_leds, decode_per_led, pair_luminances, unblurred
 from heliograph.receive.decode.per_quad import decode_per_quad
@@ -141,7 +141,7 @@ def test_sampling_decodes_only_at_the_right_pose() -> None:
 
 
 def cubic(image: Floats, points: Floats) -> Floats:
-    kernels.sample_cubic(image, points, got := np.empty(len(points)))
+    sample_cubic(image, points, got := np.empty(len(points)))
     return got
 
 
@@ -162,7 +162,7 @@ def test_cubic_samples_of_a_parabola_are_exact() -> None:
 
 def test_cubic_samples_at_leds() -> None:
     image, pose = np.random.default_rng(0).normal(size=(19, 22)), Pose(9.3, 10.8, 1.3, 0.05, 0.5, 0.02, -0.03)
-    kernels.cubic_at_leds(image, pose.x, pose.y, pose.axes, got := np.empty((16, 16)))
+    cubic_at_leds(image, pose.x, pose.y, pose.axes, got := np.empty((16, 16)))
     assert got.ravel() == pytest.approx(reference.sample_cubic(image, pose.leds(16).reshape(-1, 2)), abs=1e-12)
 
 

@@ -1,7 +1,7 @@
 """Header amplitudes in frames, and light clock estimation from headers."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.sync.light_clock import HeaderAmplitudes, LightClock, measure_amplitudes
+from heliograph.receive.sync.light_clock import LightClock, measure_amplitudes
 from heliograph.signal.formats import words
 from heliograph.signal.header import header_cells
 from heliograph.signal.settings import SignalSettings
@@ -21,7 +21,16 @@ from heliograph.signal.settings import SignalSettings
 SIGNAL, IDENTITY, FINE, SLOTS = SignalSettings(), 29, 2000, np.array([15, 11, 5, 1]) / 16
 
 
-def header_view(start: float, exposure: float, period: float, seed: int = 0, form: int = 0) -> HeaderAmplitudes:
+class Amplitudes(NamedTuple):
+    """Amplitudes as `measure_amplitudes` returns them."""
+
+    times_s: Floats
+    alternation: Floats
+    brightness: Floats
+    trust: float = 1.0
+
+
+def header_view(start: float, exposure: float, period: float, seed: int = 0, form: int = 0) -> Amplitudes:
     """Integrate header amplitudes numerically: frames `period` patterns apart, header `start` patterns late.
 
     The second pair signals a format: dimmed cells have levels 3 and 1.
@@ -40,10 +49,10 @@ def header_view(start: float, exposure: float, period: float, seed: int = 0, for
     first, last = (np.searchsorted(steps, times - start + offset) for offset in (0, exposure))
     waves, lights = (np.concatenate([[0], np.cumsum(light)]) for light in (wave, bright))
     alternation, brightness = ((total[last] - total[first]) / (last - first) for total in (waves, lights))
-    return HeaderAmplitudes(1e-3 * times, 100 * alternation, 200 * brightness + 31)
+    return Amplitudes(1e-3 * times, 100 * alternation, 200 * brightness + 31)
 
 
-def measured(view: HeaderAmplitudes, period: float = 1.0, exposure_s: float | None = None) -> LightClock:
+def measured(view: Amplitudes, period: float = 1.0, exposure_s: float | None = None) -> LightClock:
     clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, exposure_s)
     assert clock.measure(view, 0)
     return clock
@@ -75,7 +84,7 @@ def test_later_header_gives_starts_finer_than_the_grid(period: float) -> None:
         clock = measured(header_view(0.0, period, period), period)
         view = header_view(float(start), period, period)
         # the same header 100 patterns later
-        clock.measure(replace(view, times_s=view.times_s + 0.1), 100)
+        clock.measure(view._replace(times_s=view.times_s + 0.1), 100)
         found.append((clock.start_s - 0.1) * 1e3)
     # the filter corrects a constant fraction, independent of the start
     slope, zero = np.polyfit(late, found, 1)
@@ -86,8 +95,8 @@ def test_later_header_gives_starts_finer_than_the_grid(period: float) -> None:
 # at 25 m some LEDs saturate; clipped brightness, without trust, shifted the clock by 0.3 T_b
 @pytest.mark.parametrize(("wrong", "factor", "trust"), [(-0.1, 1, 0.1), (-0.4, 3, 0.0)])
 def test_brightness_with_less_trust_counts_less(wrong: float, factor: float, trust: float) -> None:
-    view = replace(header_view(0.3, 1.0, 1.0), brightness=factor * header_view(wrong, 1.0, 1.0).brightness)
-    full, less = (0.3 - measured(replace(view, trust=one)).start_s * 1e3 for one in (1.0, trust))
+    view = header_view(0.3, 1.0, 1.0)._replace(brightness=factor * header_view(wrong, 1.0, 1.0).brightness)
+    full, less = (0.3 - measured(view._replace(trust=one)).start_s * 1e3 for one in (1.0, trust))
     assert full > 0.1 or trust
     assert abs(less) < (0.5 * abs(full) if trust else 0.01)
 
@@ -107,7 +116,7 @@ def test_longest_of_equivalent_exposures_is_chosen() -> None:
 
 def test_noise_is_not_explained() -> None:
     clock, noise = LightClock(0.0, 1e-3, SIGNAL, IDENTITY), np.random.default_rng(3).normal(0, 50, (2, 9))
-    clock.measure(HeaderAmplitudes(np.linspace(-2e-3, 6e-3, 9), *noise), 0)
+    clock.measure(Amplitudes(np.linspace(-2e-3, 6e-3, 9), *noise), 0)
     assert clock.explained < 0.7
 
 
@@ -117,7 +126,7 @@ def test_rate_is_estimated_from_successive_headers() -> None:
         # align the header with the frame grid
         frames_s, late_s = (part * 0.66e-3 for part in divmod(packet * 0.1 * (1 + rate) / 0.66e-3, 1))
         view = header_view(late_s * 1e3, 0.66, 0.66, packet)
-        clock.measure(replace(view, times_s=view.times_s + frames_s), 100 * packet)
+        clock.measure(view._replace(times_s=view.times_s + frames_s), 100 * packet)
     assert clock.rate == pytest.approx(rate, abs=2e-5)
     assert clock.time_s(1150) == pytest.approx(1.15 * (1 + rate), abs=3e-5)
     assert clock.pattern_at(clock.time_s(1234.5)) == pytest.approx(1234.5)
@@ -126,10 +135,10 @@ def test_rate_is_estimated_from_successive_headers() -> None:
 def normed_error(start: float, period: float, seed: int, part: float | None, trust: float, again: bool) -> float:
     """Return the normalised start error for a noisy header; the exposure is a known part of the frame period."""
     clock = LightClock(0.0, period * 1e-3, SIGNAL, IDENTITY, None if part is None else part * period * 1e-3)
-    view = replace(header_view(start, (part or 1.0) * period, period, seed), trust=trust)
+    view = header_view(start, (part or 1.0) * period, period, seed)._replace(trust=trust)
     noise = np.random.default_rng([seed, 3]).normal(0, 4, len(view.times_s))
     for repeat in range(1 + again):
-        assert clock.measure(replace(view, alternation=view.alternation + noise), 0, again=bool(repeat))
+        assert clock.measure(view._replace(alternation=view.alternation + noise), 0, again=bool(repeat))
     return (clock.time_s(0) * 1e3 - start) / clock.deviation
 
 
@@ -158,19 +167,19 @@ def test_unseen_header_leaves_the_clock_unchanged() -> None:
     clock = measured(header_view(0.2, 1.0, 1.0))
     before = clock.time_s(50), clock.gain, clock.exposure
     noise = np.random.default_rng(0).normal(0, 3, (2, 9))
-    assert not clock.measure(HeaderAmplitudes(1e-3 * (50 + np.arange(-2.0, 7.0)), *noise), 50)
+    assert not clock.measure(Amplitudes(1e-3 * (50 + np.arange(-2.0, 7.0)), *noise), 50)
     assert (clock.time_s(50), clock.gain, clock.exposure) == pytest.approx(before)
 
 
-def unseen(pattern: int) -> HeaderAmplitudes:
-    return HeaderAmplitudes(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
+def unseen(pattern: int) -> Amplitudes:
+    return Amplitudes(1e-3 * (pattern + np.arange(-2.0, 7.0)), np.full(9, 1e-3), np.zeros(9))
 
 
 def test_known_rate_wanders_as_quartz_does() -> None:
     """The rate random walk is 6.3e-8 per square root of a pattern, which limits rate accuracy to 3.5e-6."""
     clock, view = LightClock(0.0, 1e-3, SIGNAL, IDENTITY), header_view(0.2, 1.0, 1.0)
     for packet in range(60):
-        assert clock.measure(replace(view, times_s=view.times_s + 0.1 * packet), 100 * packet)
+        assert clock.measure(view._replace(times_s=view.times_s + 0.1 * packet), 100 * packet)
     assert clock.deviation < 0.01
     assert not any(clock.measure(unseen(pattern), pattern) for pattern in (16_000, 36_000))
     # rate deviation over 30000 patterns, and random walk from the first 10000 over the last 20000
@@ -189,14 +198,14 @@ SIDE, POSE = 16, Pose(20.3, 19.6, 1.6, 0.0, 0.55)
 ON, CHEQUERED = np.ones((SIDE, SIDE)), np.where(np.arange(SIDE**2).reshape(SIDE, SIDE) % 2, 1.0, -1.0)
 
 
-def seen(light: Floats, header: Floats, amplitudes: Sequence[float], full_scale: bool = False) -> HeaderAmplitudes:
+def seen(light: Floats, header: Floats, amplitudes: Sequence[float], full_scale: bool = False) -> Amplitudes:
     """Measure frames with array light and header amplitudes on a uniform background."""
     on, sign = (image_of(levels, POSE, (0, 0), (40, 40)) for levels in (light, light * header))
     images = [np.round(30 + 90 * on + a * sign).astype(np.uint8) for a in amplitudes]
     if full_scale:
         images[-1][10:30, 10:30] = 255
     frames = [Frame(k, 1e-3 * k, image) for k, image in enumerate(images)]
-    return measure_amplitudes(frames, [POSE] * len(frames), header * light)
+    return Amplitudes(*measure_amplitudes(frames, [POSE] * len(frames), header * light))
 
 
 @pytest.mark.parametrize("dead", [0.0, 0.3])

@@ -56,7 +56,7 @@ from heliograph.link.simulate import load_imu
 from heliograph.measure.statistics import Count
 from heliograph.receive.build import search_parameters
 from heliograph.receive.detect.alternation import DETECT, alternation_means, alternation_of, busy_blocks, coarse_search
-from heliograph.receive.detect.candidate import cell_weights, fit_near, is_in_size_range, is_plausible
+from heliograph.receive.detect.candidate import cell_weights, fit_near
 from heliograph.receive.detect.detection import ALL_ON, Detection, headers
 from heliograph.receive.detect.kernels import BLOCK_PX
 from heliograph.receive.detect.search import PyramidSearch
@@ -126,9 +126,9 @@ class VariantDetector:
         if rough is None:
             return None
         fit = fit_near(change, (0, 0), replace(rough.pose, blur=blur), weights, DETECT.upright_sigma)
-        if fit is None or fit.score < 0 or not is_plausible(fit, self._parameters, full_scale):
+        if fit is None or fit.score < 0 or not self._parameters.is_plausible(fit, full_scale):
             return None
-        if not is_in_size_range(fit, self._parameters, self._side):
+        if not self._parameters.is_in_size_range(fit.pose, self._side):
             return None
         return HeaderCandidate(fit.score, fit.pose, number)
 

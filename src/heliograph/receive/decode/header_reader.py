@@ -92,9 +92,8 @@ class HeaderReader:
             if self.led_gains is None or pair.combination is not None or np.any(np.abs(weights) != 1):
                 # combined frames do not show gains; dimmed cells are another pattern than the headers before
                 break
-            cutout = take_data(pair, track, self._signal, self._late_s).motion_compensated(
-                track.gain, self.led_gains.values
-            )
+            cutout = take_data(pair, track, self._signal, self._late_s)
+            cutout = cutout.motion_compensated(track.gain, self.led_gains.values)
             if cutout.apart:
                 # light smears within an exposure: LEDs would seem dim and bias the pose, and more LEDs seem dim
                 break

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from heliograph.base import kernels
 from heliograph.base.arrays import TINY, Floats
-from heliograph.receive.decode import kernels
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.decode.combining import SoftBuffer
 from heliograph.receive.decode.header_reader import HeaderReader
@@ -104,8 +104,8 @@ def sample_differences(cutouts: Cutouts, side: int) -> Floats:
     return out
 
 
+# reads luminances (n, n) of two frames, by the poses in both and the gain
 ReadPair = Callable[[tuple[AnyFrame, AnyFrame], tuple[Pose, Pose], float], Floats]
-"""Reads luminances (n, n) of two frames, by the poses in both and the gain."""
 
 
 class PlainPacket:

@@ -11,6 +11,7 @@ least squares. Neither pose, blur nor gain is needed.
 """
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from heliograph.base.arrays import TINY, Floats
@@ -97,9 +98,7 @@ def _cancel_neighbours(symbols: Floats, light: Floats) -> Floats:
     side = round((symbols.shape[1] // 4) ** 0.5)
     padded = np.pad(light.reshape(-1, 4, side, side), ((0, 0), (0, 0), (1, 1), (1, 1)))
     # (kinds x 9, quads of all pairs): the light of each kind of symbol in the 3 x 3 quads around
-    x = np.stack(
-        [padded[:, k, i : i + side, j : j + side].ravel() for k in range(4) for i in range(3) for j in range(3)]
-    )
+    x = sliding_window_view(padded, (3, 3), (2, 3)).transpose(1, 4, 5, 0, 2, 3).reshape(36, -1)
     y = symbols.reshape(len(symbols), 4, -1).transpose(1, 0, 2).reshape(4, -1)
     # b = (x x^T + lambda)^-1 x y^T
     b = np.linalg.solve(x @ x.T + 1e-3 * x.shape[1] * np.eye(len(x)), x @ y.T)

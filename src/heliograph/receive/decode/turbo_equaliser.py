@@ -92,9 +92,8 @@ class TurboEqualiser:
 
     def expected(self) -> tuple[Floats, Floats]:
         """Mean and variance of all symbols, (patterns, symbols)."""
-        return self._mapper.expected(
-            [layer.mean() for layer in self._layers], [layer.variances() for layer in self._layers]
-        )
+        means = [layer.mean() for layer in self._layers]
+        return self._mapper.expected(means, [layer.variances() for layer in self._layers])
 
     def run(self, buffer: SoftBuffer | None, observe: Callable[[EqualiseEvent], None]) -> None:
         """Iterate between equaliser and decoder."""
@@ -196,9 +195,8 @@ class TurboEqualiser:
         for layer in self._layers:
             layer.keep_own()
         if self._unsynchronised is None:
-            self.repeated = buffer.same_packet(
-                self.observed.form.format, [llr for layer in self._layers for llr in layer.own]
-            )
+            own = [llr for layer in self._layers for llr in layer.own]
+            self.repeated = buffer.same_packet(self.observed.form.format, own)
         if self.repeated is not None:
             self._use_statistics()
             if self._propagation:

@@ -5,7 +5,7 @@ import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
@@ -131,8 +131,8 @@ class PacketObservations(Protocol):
         """
 
 
+# identity, orientation and number of an array; the number distinguishes arrays of equal identity, as after a loss
 ArrayKey = tuple[int, Orientation, int]
-"""Identity, orientation and number of an array; the number distinguishes arrays of equal identity, as after a loss."""
 
 MAX_ARRAYS = 64  # arrays in a decoder, more than are in view: 1 MB each with 16 x 16 LEDs
 MAX_BUFFERS = 32  # soft buffers in a decoder, by identity and orientation: more than identities exist
@@ -240,59 +240,54 @@ def _process(_parts: tuple[str, ...]) -> ProcessPoolExecutor:
     return worker_processes(1)
 
 
+@dataclass(eq=False)
 class PendingPacket:
     """Observed packet during and after decoding."""
 
-    def __init__(
-        self,
-        packet: Packet,
-        observations: PacketObservations,
-        decoded: Future[Decoded],
-        learnt: Future[LedGains | None],
-        observe: Observer,
-        exposure_range: tuple[float, float] | None,
-    ):
-        self._undecoded, self._observations, self._decoded, self._learnt = packet, observations, decoded, learnt
-        self._observe, self._exposure_range = observe, exposure_range
-        self._packet: Packet | None = None
+    # The packet without codewords, and its observations
+    undecoded: Packet
+    observations: PacketObservations
+    # Results of the decoder
+    decoded: Future[Decoded]
+    learnt: Future[LedGains | None]
+    # Gets the events of decoding
+    observe: Observer
+    # Bounds of the camera's exposure in T_b by the headers so far
+    exposure_range: tuple[float, float] | None
+    _packet: Packet | None = field(default=None, init=False)
 
     @property
     def done(self) -> bool:
         """True if the packet is decoded."""
-        return self._decoded.done()
+        return self.decoded.done()
 
     @property
     def led_gains(self) -> LedGains | None:
         """Gains of the LEDs after the packet, None if unchanged; waits for the decoder."""
-        return wait_for(self._learnt)
+        return wait_for(self.learnt)
 
     def settle(self) -> None:
         """Wait until the decoder has finished with the packet or failed."""
         with contextlib.suppress(Exception):
-            self._learnt.result()
+            self.learnt.result()
 
     def packet(self) -> Packet:
         """Packet with codewords; waits for the decoder."""
         if self._packet is None:
-            decoded, packet = wait_for(self._decoded), self._undecoded
+            decoded, packet = wait_for(self.decoded), self.undecoded
             if (failure := decoded.failure) is not None:
                 # an occluded header may show any mode
                 level = logging.INFO if isinstance(failure, UnreadableModeError) else logging.WARNING
                 cause = packet.identity, packet.first_frame, failure
                 LOG.log(level, "array %d, packet at frame %d is not read: %s", *cause)
-            self._packet = packet = replace(
-                packet,
-                status=packet_status(decoded.words, packet.header_score, packet.pairs_seen),
-                layers=decoded.words,
-                format=self._observations.form.format,
-                reason=str(failure or ""),
-            )
+            status = packet_status(decoded.words, packet.header_score, packet.pairs_seen)
+            form, reason = self.observations.form.format, str(failure or "")
+            self._packet = packet = replace(packet, status=status, layers=decoded.words, format=form, reason=reason)
             for event in decoded.events:
-                self._observe(event)
-            cutouts = tuple(self._observations.cutouts) if decoded.cutouts is None else decoded.cutouts
-            self._observe(
-                DecodeEvent(packet.identity, packet, decoded.luminances, cutouts, exposure_range=self._exposure_range)
-            )
+                self.observe(event)
+            cutouts = tuple(self.observations.cutouts) if decoded.cutouts is None else decoded.cutouts
+            exposure_range = self.exposure_range
+            self.observe(DecodeEvent(packet.identity, packet, decoded.luminances, cutouts, exposure_range))
         return self._packet
 
 

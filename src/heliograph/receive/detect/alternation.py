@@ -17,6 +17,7 @@ from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame, Pixels
 from heliograph.receive.detect import kernels
 from heliograph.receive.detect.kernels import BLOCK_PX
+from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import CombinedFrame, window_around
 
@@ -113,11 +114,25 @@ class SearchParameters:
         count = int(np.ceil(np.log(self.max_side_px / self.min_side_px) / np.log(DETECT.size_ratio))) + 1
         return np.geomspace(self.min_side_px, self.max_side_px, count)
 
+    def is_in_size_range(self, pose: Pose, side: int) -> bool:
+        """Return True if an array has a size in the searched range."""
+        smallest, largest = size_limits(self.min_side_px, self.max_side_px)
+        return smallest <= side * pose.pitch <= largest
+
+    def is_plausible(self, fit: Fit, full_scale: int) -> bool:
+        """Return True if a fit has the brightness and the tilt of an array."""
+        # pixels with more light than full scale saturate
+        is_bright = self.min_contrast <= fit.gain / full_scale <= 1.25
+        # relative to a given pose
+        stretch, shear = (self.start.stretch, self.start.shear) if self.start is not None else (0.0, 0.0)
+        # LEDs of 22.6 degrees half angle hardly shine beyond 48 degrees
+        return bool(is_bright and np.hypot(fit.pose.stretch - stretch, fit.pose.shear - shear) <= 0.2)
+
 
 FrameWeights = tuple[float, float, float, float]  # weights of four frames in their sum
 
+# (f0 - 3 f1 + 3 f2 - f3) / 4 keeps a header and cancels light at rest or in even motion or acceleration
 ALTERNATION: FrameWeights = (0.25, -0.75, 0.75, -0.25)
-"""(f0 - 3 f1 + 3 f2 - f3) / 4 keeps a header and cancels light at rest or in even motion or acceleration."""
 
 DIFFERENCE: FrameWeights = (0.5, -0.5, 0.5, -0.5)  # weights of two repeated frames, f0 f1 f0 f1
 
@@ -221,19 +236,12 @@ def coarse_search(
     contrast = 0.5 * parameters.min_contrast * change.full_scale
     # blinking squares have no limit
     max_imbalance = 2.0 if cells.sum(axis=1).any() else max_imbalance
+    limits = contrast, parameters.coarse_score, max_imbalance, min_distance
+    # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
+    grid, corner = 0.1, np.array(change.origin, np.float64)
+    images = integral_images(change.pixels)
     count, work, passed, compared = kernels.search(
-        integral_images(change.pixels),
-        busy,
-        cells,
-        sides,
-        (contrast, parameters.coarse_score, max_imbalance, min_distance),
-        DETECT.ring,
-        # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
-        0.1,
-        np.array(change.origin, np.float64),
-        begin,
-        int(max_work),
-        best,
+        images, busy, cells, sides, limits, DETECT.ring, grid, corner, begin, int(max_work), best
     )
     return best[:count], work, passed, compared
 
@@ -289,18 +297,16 @@ def _distant_groups(busy: Blocks, gap: int) -> list[Blocks]:
 def _runs(busy: Blocks, gap: int) -> list[slice]:
     """Cut the span of the busy places at gaps longer than `gap`."""
     places = np.flatnonzero(busy)
-    cuts = np.flatnonzero(places[1:] - places[:-1] > gap)
-    firsts, lasts = [0, *(cuts + 1).tolist()], [*cuts.tolist(), -1]
-    return [slice(int(places[k]), int(places[j]) + 1) for k, j in zip(firsts, lasts, strict=True)]
+    runs = np.split(places, np.flatnonzero(np.diff(places) > gap) + 1)
+    return [slice(int(run[0]), int(run[-1]) + 1) for run in runs]
 
 
 def _span(busy: Blocks, reach: int) -> tuple[slice, slice]:
     """Return rows and columns of the busy blocks, widened by `reach`."""
-    spans = []
-    for axis in (1, 0):
-        places = np.flatnonzero(np.any(busy, axis=axis))
-        spans.append(slice(max(int(places[0]) - reach, 0), min(int(places[-1]) + 1 + reach, busy.shape[1 - axis])))
-    return spans[0], spans[1]
+    x, y, width, height = cv2.boundingRect(busy.view(np.uint8))
+    rows, columns = busy.shape
+    down = slice(max(y - reach, 0), min(y + height + reach, rows))
+    return down, slice(max(x - reach, 0), min(x + width + reach, columns))
 
 
 def _size(down: slice, across: slice) -> int:

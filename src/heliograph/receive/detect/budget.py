@@ -137,7 +137,7 @@ class TokenBucket:
     def charge(self, work: float) -> None:
         """Take work out of the bucket; the end of a search may overdraw it."""
         self.level -= work
-        self.load = self.load._replace(work=self.load.work + work)
+        self.load += SearchLoad(work=work)
 
     def affordable_blocks(self) -> int:
         """Return the number of affordable blocks of the next search, at least 1."""
@@ -162,7 +162,7 @@ class TokenBucket:
             count, is_affordable = np.count_nonzero(chosen), self.level > 0
             chosen = self._most_novel(chosen & novel, novelty) if is_affordable else np.zeros_like(chosen)
             if self.is_scarce:
-                self.skip_blocks(int(count - np.count_nonzero(chosen)))
+                self.skip(blocks=int(count - np.count_nonzero(chosen)))
         self._is_novel = bool((chosen & (novelty > baseline.STRONG)).any())
         self._blocks, self._end = int(np.count_nonzero(chosen)), (1 - self._search_share) * self.level
         return chosen
@@ -183,15 +183,11 @@ class TokenBucket:
         is_unlike = abs(score) < 0.6 and not self.is_high and (self.is_scarce or not self._is_novel)
         if is_unlike or self.level <= self._end:
             if self.is_scarce or not is_unlike:
-                self.skip_candidate()
+                self.skip(candidates=1)
             return False
-        self.load = self.load._replace(fitted=self.load.fitted + 1)
+        self.load += SearchLoad(fitted=1)
         return True
 
-    def skip_candidate(self) -> None:
-        """Count a skipped candidate."""
-        self.load = self.load._replace(dropped=self.load.dropped + 1)
-
-    def skip_blocks(self, count: int) -> None:
-        """Count skipped busy blocks."""
-        self.load = self.load._replace(blocks=self.load.blocks + count)
+    def skip(self, candidates: int = 0, blocks: int = 0) -> None:
+        """Count skipped candidates and busy blocks."""
+        self.load += SearchLoad(dropped=candidates, blocks=blocks)

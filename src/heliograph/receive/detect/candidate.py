@@ -15,15 +15,7 @@ from numpy.typing import NDArray
 
 from heliograph.base.arrays import RCOND, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.alternation import (
-    ALTERNATION,
-    DETECT,
-    DIFFERENCE,
-    Change,
-    SearchParameters,
-    alternation_of,
-    size_limits,
-)
+from heliograph.receive.detect.alternation import ALTERNATION, DETECT, DIFFERENCE, Change, alternation_of
 from heliograph.receive.geometry.fit import Fit, fit_array
 from heliograph.receive.geometry.footprint import images_of, render_with_slopes, to_quarters
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
@@ -163,22 +155,6 @@ def measure_cells(change: Change, origin: Corner, pose: Pose, weights: Floats) -
 def is_tracked(start: Pose, tracked: Sequence[Pose], side: int) -> bool:
     """Return True if a candidate is a tracked array."""
     return any(np.hypot(start.x - p.x, start.y - p.y) < DETECT.min_distance * side * p.pitch for p in tracked)
-
-
-def is_plausible(fit: Fit, parameters: SearchParameters, full_scale: int) -> bool:
-    """Return True if a fit has the brightness and the tilt of an array."""
-    # pixels with more light than full scale saturate
-    is_bright = parameters.min_contrast <= fit.gain / full_scale <= 1.25
-    # relative to a given pose
-    stretch, shear = (parameters.start.stretch, parameters.start.shear) if parameters.start is not None else (0.0, 0.0)
-    # LEDs of 22.6 degrees half angle hardly shine beyond 48 degrees
-    return bool(is_bright and np.hypot(fit.pose.stretch - stretch, fit.pose.shear - shear) <= 0.2)
-
-
-def is_in_size_range(fit: Fit, parameters: SearchParameters, side: int) -> bool:
-    """Return True if a fit has a size in the searched range."""
-    smallest, largest = size_limits(parameters.min_side_px, parameters.max_side_px)
-    return smallest <= side * fit.pose.pitch <= largest
 
 
 def are_disjoint(a: Pose, b: Pose, side: int) -> bool:

@@ -19,6 +19,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -26,18 +27,8 @@ import numpy as np
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.base.frames import Frame
-from heliograph.receive.detect.alternation import (
-    DETECT,
-    Blocks,
-    Change,
-    SearchParameters,
-    SearchRegion,
-    alternation_means,
-    alternation_of,
-    busy_blocks,
-    coarse_search,
-    search_regions,
-)
+from heliograph.receive.detect import alternation
+from heliograph.receive.detect.alternation import DETECT, Blocks, Change, SearchParameters, SearchRegion, alternation_of
 from heliograph.receive.detect.budget import FIT_WORK, NoveltyFilter, TokenBucket
 from heliograph.receive.detect.candidate import (
     are_disjoint,
@@ -48,8 +39,6 @@ from heliograph.receive.detect.candidate import (
     fit_header,
     fit_moving,
     fit_near,
-    is_in_size_range,
-    is_plausible,
     is_tracked,
     measure_cells,
 )
@@ -102,19 +91,21 @@ class Detector:
     def busy_blocks(self, means: Change, frame: Frame, tracked: Sequence[Pose]) -> Blocks:
         """Find the busy blocks outside tracked arrays."""
         parameters = self.parameters
-        return busy_blocks(means, frame, tracked, self.side, parameters.min_contrast, parameters.everywhere)
+        return alternation.busy_blocks(means, frame, tracked, self.side, parameters.min_contrast, parameters.everywhere)
 
     def block_means(self, slots: FrameWindow) -> Change | None:
         """Compute the mean alternation of blocks; None if frames are missing or too small."""
         header = header_frames(slots, self.header_length)
         if header is None or min(header[0].pixels.shape) < self.sides[0]:
             return None
-        return alternation_means(header)
+        return alternation.alternation_means(header)
 
     def regions(self, slots: FrameWindow, busy: Blocks, max_side_px: float) -> list[SearchRegion]:
         """Return the alternation about busy blocks."""
         header = header_frames(slots, self.header_length)
-        return search_regions(header, busy, max_side_px, alternation_of) if header and busy.any() else []
+        if not header or not busy.any():
+            return []
+        return alternation.search_regions(header, busy, max_side_px, alternation_of)
 
     def search(self, slots: FrameWindow, busy: Blocks, tracked: Sequence[Pose], with_turned: bool) -> list[Detection]:
         """Search busy blocks for headers: upright, then turned, then rolled, until an array is clear."""
@@ -152,7 +143,7 @@ class Detector:
             if (detections and all(found.is_clear for found in detections)) or not has_compared:
                 break
         # another level searches for arrays of another size
-        return [found for found in detections if is_in_size_range(found.fit, self.parameters, self.side)]
+        return [found for found in detections if self.parameters.is_in_size_range(found.fit.pose, self.side)]
 
     def find_candidates(
         self, regions: Sequence[SearchRegion], bank: Headers, rolls_deg: Sequence[float] = (0.0,)
@@ -185,7 +176,7 @@ class Detector:
             # the user chose the size of a given place, so the budget does not apply
             max_work = 1 << 60 if self.parameters.everywhere else left / (len(regions) - k)
             if max_work <= 0:
-                self.budget.skip_blocks(int(np.count_nonzero(busy)))
+                self.budget.skip(blocks=int(np.count_nonzero(busy)))
                 continue
             if self.parameters.start is not None:
                 busy = np.ones_like(busy)
@@ -193,7 +184,7 @@ class Detector:
             columns, down, across = busy.shape[1], y // BLOCK_PX, x // BLOCK_PX
             row, column = self._begins.pop(key, (down, across))
             begin = ((row - down) * columns + column - across) % busy.size
-            best, places, passed, compared = coarse_search(
+            best, places, passed, compared = alternation.coarse_search(
                 change, busy, self.parameters, bank.cells, self.sides, bank.min_distance, begin, max_work, max_imbalance
             )
             # a pixel costs less than a place
@@ -202,7 +193,7 @@ class Detector:
             left -= work
             if passed < busy.size:
                 skipped = (begin + np.arange(passed, busy.size)) % busy.size
-                self.budget.skip_blocks(int(np.count_nonzero(busy.flat[skipped])))
+                self.budget.skip(blocks=int(np.count_nonzero(busy.flat[skipped])))
                 self._begins[key] = int(skipped[0]) // columns + down, int(skipped[0]) % columns + across
             has_compared |= compared > 0 or passed < busy.size
             for score, across_px, down_px, width, number in best.tolist():
@@ -242,7 +233,7 @@ class Detector:
             if rough is None or rough.score < min_score:
                 break
             if tilt == DETECT.upright_sigma and self.budget.is_low and rough.score < 0.7:
-                self.budget.skip_candidate()
+                self.budget.skip(candidates=1)
                 break
             min_score = parameters.coarse_score
             pose = replace(rough.pose, blur=parameters.blur_px)
@@ -284,7 +275,7 @@ class Detector:
         self.budget.charge(FIT_WORK)
         is_even = parameters.impaired and is_whole and regularity >= DETECT.min_hidden_regularity
         fit, led_gains, is_level = fit_header(header, pose, weights, tilt, parameters.score, is_even)
-        if fit is None or not is_plausible(fit, parameters, header[0].full_scale):
+        if fit is None or not parameters.is_plausible(fit, header[0].full_scale):
             return None
         fitted_tilt = math.hypot(fit.pose.stretch, fit.pose.shear)
         if is_mixed and tilt > DETECT.upright_sigma and fitted_tilt < 0.05:
@@ -293,7 +284,7 @@ class Detector:
         min_score = 0.8 if is_level and led_gains.all() else parameters.score
         if fit.score < (min_score if is_whole else DETECT.clear_score):
             return None
-        is_in_range = is_in_size_range(fit, parameters, self.side)
+        is_in_range = parameters.is_in_size_range(fit.pose, self.side)
         if not is_in_range and fit.score < DETECT.clear_score:
             return None
         first, frame = next((k, frame) for k, frame in enumerate(frames) if frame is not None)
@@ -359,15 +350,16 @@ class HalfPeriodDetector:
         # 2 (r_0 - w r_1 + w r_(N-1) - r_N), w = N / (N - 2): the header less the inverse, with levels of +-1/2
         ends, weight = [frames[k] for k in (0, 1, -2, -1)], 2 * length / (length - 2)
         weights = (2.0, -weight, weight, -2.0)
-        means = alternation_means(ends, weights)
+        means = alternation.alternation_means(ends, weights)
         busy = eligible = detector.busy_blocks(means, frames[0], tracked)
         if busy.any():
             # the change within a header is quiet: data reach 1, noise 0.45; the means are twice the change
-            eligible = busy & (alternation_means(frames[1:3]) < 0.15 * means)
+            eligible = busy & (alternation.alternation_means(frames[1:3]) < 0.15 * means)
         chosen = detector.budget.start_search(self._baselines[frames[0].index % 2], means, busy, frames[0], eligible)
         if not chosen.any():
             return []
-        regions = search_regions(ends, chosen, detector.sides[-1], lambda part: alternation_of(part, weights))
+        combine = partial(alternation_of, weights=weights)
+        regions = alternation.search_regions(ends, chosen, detector.sides[-1], combine)
         candidates, _ = detector.find_candidates(regions, detector.banks[0])
         detections = [
             self._detect(frames, candidate)
@@ -385,7 +377,7 @@ class HalfPeriodDetector:
         # the light of data takes a part of the correlation
         if fit is None or fit.score < 0.78 * parameters.score:
             return None
-        if not is_plausible(fit, parameters, frames[0].full_scale) or not is_in_size_range(fit, parameters, side):
+        if not parameters.is_plausible(fit, frames[0].full_scale) or not parameters.is_in_size_range(fit.pose, side):
             return None
         weights = cell_weights(candidate.cells, side)
         # amplitudes over the beginning and the end, less the mean within

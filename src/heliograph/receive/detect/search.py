@@ -274,9 +274,7 @@ def _key(frame: Frame) -> tuple[object, ...]:
 
 def _with_rim(frame: Frame, rim: int) -> Frame:
     """Add a black rim to a frame."""
-    pixels: Pixels = cv2.copyMakeBorder(  # type: ignore[assignment]  # OpenCV keeps the dtype
-        frame.pixels, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=0
-    )
+    pixels: Pixels = np.pad(frame.pixels, rim)  # type: ignore[assignment]  # NumPy keeps the dtype
     pixels.setflags(write=False)
     x, y = frame.origin
     return replace(frame, pixels=pixels, origin=(x - rim, y - rim))

@@ -40,8 +40,8 @@ from heliograph.receive.observe.statistics import (
     whiten,
 )
 
+# standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background
 POSE_SPREADS = np.array([0.2, 0.2, 0.004, 0.02])
-"""Standard deviations of errors of a pose in x, y (px), ln pitch and roll before a bright background."""
 
 SPREAD = 0.3  # prior standard deviation of an LED's gain about 1; a failed LED is 3.3 of these away
 MIN_DIFFERENCE = 0.05  # rms difference from 1, in both halves of the pairs, from which LEDs count as unequal

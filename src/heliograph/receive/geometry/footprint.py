@@ -14,8 +14,8 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.pose import Corner, Pose, Shape
 
+# a blur matrix A: light of each LED by column (n n, columns) and by row (n n, rows), whose product is its image
 Footprints = tuple[Floats, Floats]
-"""A blur matrix A: light of each LED by column (n n, columns) and by row (n n, rows), whose product is its image."""
 
 
 def to_quarters(grid: NDArray[Any]) -> NDArray[Any]:

@@ -361,13 +361,8 @@ def draw(vector, open_pixels, scene, images):
         render_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
     for k in range(margins.shape[0]):
         render_box(vector, half + margins[k], corner[0], corner[1], shapes[k + 1], smear[0], smear[1])
-    if open_pixels.size == 0:
-        return
-    for k in range(shapes.shape[0]):
-        for n in range(shapes.shape[1]):
-            for i in range(shapes.shape[2]):
-                for j in range(shapes.shape[3]):
-                    shapes[k, n, i, j] *= open_pixels[i, j]
+    if open_pixels.size:
+        shapes *= open_pixels
 
 
 @compiled()

@@ -89,8 +89,8 @@ class Cutout:
         return replace(self, poses=tuple(Pose.from_vector(pose.full_vector() + step) for pose in self.poses))
 
 
+# cut-outs of the pairs of a packet, in the single mode of the patterns; None for missing pairs
 Cutouts = Sequence[Cutout | None]
-"""Cut-outs of the pairs of a packet, in the single mode of the patterns; None for missing pairs."""
 
 
 def take_cutout(pair: FramePair, poses: tuple[Pose, Pose], side: int) -> Cutout:

@@ -93,10 +93,8 @@ class WhitenedCutout:
 
     def correlate(self, images: Floats) -> Floats:
         """Correlate images (k, rows, columns) with the symbols' images: B^T W^(1/2), (symbols, k)."""
-        parts = []
-        for across, down in self.frames:
-            parts.append(0.25 * transform_quarters(np.einsum("knj,nj->nk", down @ images, across)))
-        return np.asarray(np.mean(parts, axis=0))
+        quarters = (np.einsum("knj,nj->nk", down @ images, across) for across, down in self.frames)
+        return np.asarray(np.mean([0.25 * transform_quarters(part) for part in quarters], axis=0))
 
     def residual(self, gain: float, symbols: Floats) -> Floats:
         """Compute W^(1/2) (d - g (B c + o)), (rows, columns)."""

@@ -21,11 +21,11 @@ from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.screen.cells import PARAMETERS, Sample, SearchBudget
 from heliograph.receive.settings import ScreenSettings
 
+# patterns per second to try first: divisors of 60 Hz, and common frame rates of films
 RATES = (10.0, 15.0, 30.0, 60.0, 5.0, 20.0, 12.0, 7.5, 6.0, 4.0, 3.0, 2.0, 24.0, 1.0)
-"""Patterns per second to try first: divisors of 60 Hz, and common frame rates of films."""
 
+# patterns per second, 1 to 60, to try last: ten patterns are then off by a sixth of a pattern at the ends
 ANY_RATES = tuple(np.exp(np.arange(0.0, np.log(60.0), 0.03)).tolist())
-"""Patterns per second, 1 to 60, to try last: ten patterns are then off by a sixth of a pattern at the ends."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,8 @@ class Clock:
 
 RatedClock = tuple[float, Clock]  # part of the variance that the pairs of a clock leave unexplained, and the clock
 
-
+# frame period in s, number of sensor rows, and row time in s; None if the row time is unknown
 Sensor = tuple[float, int, float | None]
-"""Frame period in s, number of sensor rows, and row time in s; None if the row time is unknown."""
 
 
 class Samples:

@@ -23,11 +23,11 @@ from heliograph.receive.screen.cells import (
     reduced,
 )
 
+# misfit of the cells plus change of the ring, place in the first trial frame, and best blur in px
 Candidate = tuple[float, Place, float]
-"""Misfit of the cells plus change of the ring, place in the first trial frame, and best blur in px."""
 
+# tracker of an array, and each recent frame with the sample; None where the array is invisible
 Acquired = tuple[CellTracker, list[tuple[Frame, Sample | None]]]
-"""Tracker of an array, and each recent frame with the sample; None where the array is invisible."""
 
 
 def reduce_frame(pixels: Pixels32) -> tuple[Pixels32, int]:

@@ -18,8 +18,8 @@ from heliograph.signal.header import CELLS, all_header_cells
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
+# numbers of pairs, d and its variance relative to a sample (pairs, n, n), and mean light c of each cell (n, n)
 PairSolution = tuple[range, Floats, Floats, Floats]
-"""Numbers of pairs, d and its variance relative to a sample (pairs, n, n), and mean light c of each cell (n, n)."""
 
 
 def solve_pairs(

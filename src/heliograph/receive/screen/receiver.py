@@ -9,16 +9,8 @@ import numpy as np
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.base.threads import in_one_thread
+from heliograph.receive import events
 from heliograph.receive.detect.detection import Detection
-from heliograph.receive.events import (
-    DecodeEvent,
-    DetectEvent,
-    ExtractEvent,
-    LostEvent,
-    Observer,
-    TrackEvent,
-    UnseenEvent,
-)
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import crop, window_around
@@ -36,7 +28,7 @@ from heliograph.signal.settings import SignalSettings
 class EventEmitter:
     """Emits the events of a tracked array."""
 
-    def __init__(self, signal: SignalSettings, observe: Observer):
+    def __init__(self, signal: SignalSettings, observe: events.Observer):
         self._side, self._observe = signal.side, observe
         # recent frames around the array, and the array in the last of them
         self._windows: deque[tuple[Frame, Pose]] = deque()
@@ -65,13 +57,13 @@ class EventEmitter:
         at_s, ones = self._windows[-1][0].time_s, np.ones((self._side,) * 2)
         fit = replace(self._fit, covariance=np.eye(7), score=header.score)
         detection = Detection(header.identity, start_s, fit, at_s, header.score, 1.0, ones, header.orientation)
-        self._observe(DetectEvent(detection, (self._last,)))
+        self._observe(events.DetectEvent(detection, (self._last,)))
         self._identity = header.identity
 
     def end_array(self, time_s: float) -> None:
         """Emit the loss of a detected array."""
         if self._identity is not None:
-            self._observe(LostEvent(self._identity, time_s))
+            self._observe(events.LostEvent(self._identity, time_s))
         self._identity = None
 
     def _add_window(self, frame: Frame, sample: Sample) -> None:
@@ -91,7 +83,7 @@ class EventEmitter:
         fit, at_s, ones = self._fit, self._windows[-1][0].time_s, np.ones((self._side,) * 2)
         state = PoseState.start(at_s, fit.vector, fit.covariance, MotionModel(1.0, 0.0))
         track = Track(state, fit.gain, fit.gain, ones, at_s, ones, fit.score)
-        self._observe(TrackEvent(identity, frame.index, TrackedPair(track, track, fit, seen)))
+        self._observe(events.TrackEvent(identity, frame.index, TrackedPair(track, track, fit, seen)))
 
     def _add_pairs(self, assembler: PacketAssembler, start_s: float, now_s: float) -> None:
         """Emit the completed data pairs."""
@@ -106,14 +98,14 @@ class EventEmitter:
             # frames from before the detection may be missing
             if max(abs(pattern[0].time_s - times_s[0]), abs(inverse[0].time_s - times_s[1])) < half_s:
                 frames, poses = (pattern[0], inverse[0]), (pattern[1], inverse[1])
-                self._observe(ExtractEvent(self._identity, frames, poses, number=self._next_pair))
+                self._observe(events.ExtractEvent(self._identity, frames, poses, number=self._next_pair))
             self._next_pair += 1
 
 
 class ScreenReceiver:
     """Receiver of one screen array; see `packets.Receiver`."""
 
-    def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: Observer):
+    def __init__(self, signal: SignalSettings, settings: ReceiveSettings, observe: events.Observer):
         check_pairs(signal, "screen")
         self._signal, self._settings, self._observe = signal, settings, observe
         # fits of more cells cost more, and headers below 10 patterns/s take longer
@@ -121,7 +113,7 @@ class ScreenReceiver:
         first_s = work * max(1.0, 10 * signal.pattern_period_s)
         self._budget = SearchBudget(0.2 * work, first_s, debt_s=0.5 * first_s)
         self._search = ArraySearch(signal.side, settings.screen.gamma, self._budget)
-        self._events = EventEmitter(signal, observe)
+        self._emitter = EventEmitter(signal, observe)
         self._last: Frame | None = None
         # tracker and assembler of the array
         self._array: tuple[CellTracker, PacketAssembler] | None = None
@@ -167,7 +159,7 @@ class ScreenReceiver:
         if self._array is not None and self._array[1].clock is not None:
             self._unseen_since = None
         if self._unseen_since is not None and time_s - self._unseen_since >= min_s:
-            self._observe(UnseenEvent(time_s - self._unseen_since))
+            self._observe(events.UnseenEvent(time_s - self._unseen_since))
             self._unseen_since = None
 
     def _start_array(self, tracker: CellTracker, tracked: list[tuple[Frame, Sample | None]]) -> Iterator[Packet]:
@@ -193,7 +185,7 @@ class ScreenReceiver:
 
     def _decode(self, frame: Frame, sample: Sample | None, assembler: PacketAssembler) -> Iterator[Packet]:
         """Decode the packets completed by a frame."""
-        self._events.add_frame(frame, sample, assembler)
+        self._emitter.add_frame(frame, sample, assembler)
         if sample is not None:
             yield from self._observed(assembler, assembler.push(sample))
 
@@ -202,7 +194,7 @@ class ScreenReceiver:
         if self._array is not None:
             yield from self._observed(self._array[1], self._array[1].finish())
         if self._last is not None:
-            self._events.end_array(self._last.time_s)
+            self._emitter.end_array(self._last.time_s)
         self._array = None
         self._search.forget()
 
@@ -210,6 +202,6 @@ class ScreenReceiver:
         """Emit the events of decoded packets."""
         for packet, change in packets:
             assert assembler.header is not None
-            self._events.add_header(assembler.header, packet.start_time_s)
-            self._observe(DecodeEvent(packet.identity, packet, luminances=change))
+            self._emitter.add_header(assembler.header, packet.start_time_s)
+            self._observe(events.DecodeEvent(packet.identity, packet, luminances=change))
             yield packet

@@ -25,11 +25,11 @@ from heliograph.receive.geometry.footprint import to_quarters
 from heliograph.signal.formats import DIMMED
 from heliograph.signal.pwm import SLOTS
 
+# the Haar transform of a square: LEDs (0, 0), (0, 1), (1, 0), (1, 1) by symbols of D11, D12, D21, D22
 SIGNS = np.array([[1, 1, 1, 1], [1, -1, 1, -1], [1, 1, -1, -1], [1, -1, -1, 1]], np.float64)
-"""The Haar transform of a square: LEDs (0, 0), (0, 1), (1, 0), (1, 1) by symbols of D11, D12, D21, D22."""
 
+# (16, 4) all values of a square's symbols
 VALUES = np.array([[1 - 2 * (k >> i & 1) for i in range(4)] for k in range(16)], np.float64)
-"""(16, 4) all values of a square's symbols."""
 
 # (2, 4, 16) which values of a square have +1, and which have -1, of each symbol
 _SPLIT = np.stack([VALUES.T > 0, VALUES.T < 0]).astype(np.float64)
@@ -39,8 +39,8 @@ _LIT = (2 + (VALUES @ SIGNS / 2)[..., None] > np.arange(SLOTS)).astype(np.float6
 
 MEAN_LIT = _LIT.mean((0, 1))  # (4,) E on_j of random data: 15, 11, 5 and 1 sixteenths
 
+# (4, 4) covariance of the on_j of an LED
 COVARIANCE = np.einsum("klr,kls->rs", _LIT - MEAN_LIT, _LIT - MEAN_LIT) / (16 * 4)
-"""(4, 4) covariance of the on_j of an LED."""
 
 SLOPES = COVARIANCE.sum(0)  # (4,) cov(on_j, level); as the level's variance is 1, also the slope of on_j over the level
 
@@ -188,14 +188,10 @@ class Combination:
         return response(self.slots[1])
 
     @cached_property
-    def leaks(self) -> tuple[Floats | None, Floats | None]:
+    def leaks(self) -> tuple[Floats | None, ...]:
         """(16, 4) responses to the symbols of the previous and the next pair; None without such light."""
-        before, after = (
-            # slots of the pair weigh 1/2
-            response(slots) if np.abs(slots).max() > 1e-3 else None
-            for slots in self.slots[[0, 2]]
-        )
-        return before, after
+        # slots of the pair weigh 1/2
+        return tuple(response(slots) if np.abs(slots).max() > 1e-3 else None for slots in self.slots[[0, 2]])
 
 
 @lru_cache
@@ -238,15 +234,9 @@ def combine_pair(starts: Floats, exposure: float, order: tuple[int, ...]) -> Com
     parts = np.maximum(difference, 0), np.maximum(-difference, 0)
     data = overlap * np.abs(shows[:, 1] @ SLOPES)
     first, second = (float((part @ overlap) @ mean) for part in parts)
-    return Combination(
-        frames=near,
-        difference=difference,
-        total=total,
-        slots=np.einsum("f,fqr->qr", difference, seen[near]),
-        levels=(first, second),
-        sum_time=_centroid(total, overlap * mean, middle),
-        data_times=(_centroid(parts[0], data, middle), _centroid(parts[1], data, middle)),
-    )
+    slots, sum_time = np.einsum("f,fqr->qr", difference, seen[near]), _centroid(total, overlap * mean, middle)
+    data_times = _centroid(parts[0], data, middle), _centroid(parts[1], data, middle)
+    return Combination(near, difference, total, slots, (first, second), sum_time, data_times)
 
 
 def combine_header(

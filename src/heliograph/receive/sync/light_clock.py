@@ -15,7 +15,6 @@ likelihoods of all headers add up; the start updates a Kalman filter of time and
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -33,25 +32,17 @@ from heliograph.signal.settings import SignalSettings
 
 PATTERNS_AROUND = 2  # patterns to measure before and after a header: both ends of the header show the start
 
+# minimum part of the power of the amplitudes that a header explains; of white noise about a quarter is explained
 MIN_EXPLAINED = 0.7
-"""Minimum part of the power of the amplitudes that a header explains; of white noise about a quarter is explained."""
 
+# model error in patterns: minimum standard deviation of a measured start, and step of later grids
 MIN_DEVIATION = 0.004
-"""Model error in patterns: minimum standard deviation of a measured start, and step of later grids."""
 
 
-@dataclass(frozen=True, slots=True)
-class HeaderAmplitudes:
-    """Amplitudes of a header and of the array in the frames around the header."""
-
-    # (frames,) starts of the exposures in seconds
-    times_s: Floats
-    # (frames,) amplitude of the header in gray levels, negative for the inverse
-    alternation: Floats
-    # (frames,) light of the array in gray levels, up to a constant
-    brightness: Floats
-    # Weight of the brightness, 0 to 1: smaller for a moving array, 0 if pixels are clipped
-    trust: float = 1.0
+# Frames around a header: starts of the exposures in seconds, amplitude of the header in gray levels, negative for the
+# inverse, light of the array in gray levels up to a constant, (frames,) each, and the weight of that light, 0 to 1:
+# smaller for a moving array, 0 if pixels are clipped
+HeaderAmplitudes = tuple[Floats, Floats, Floats, float]
 
 
 def measure_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> HeaderAmplitudes:
@@ -66,7 +57,7 @@ def measure_amplitudes(frames: list[Frame], poses: list[Pose], lit: Floats) -> H
     moved = float(np.median(np.hypot(*np.diff(places, axis=0).T))) if len(poses) > 1 else 0.0
     # the background moves too: 1 / sqrt(2) at half a pixel per frame
     trust = 0.0 if clipped.max() > 0.02 else 1 / float(np.hypot(1, moved / 0.5))
-    return HeaderAmplitudes(np.array([frame.time_s for frame in frames]), header, light, trust)
+    return np.array([frame.time_s for frame in frames]), header, light, trust
 
 
 def _project(frame: Frame, pose: Pose, lit: Floats) -> tuple[Floats, Floats, float]:
@@ -208,17 +199,18 @@ class LightClock:
 
     def _cost(self, amplitudes: HeaderAmplitudes, offset: Floats) -> Floats:
         """Return negative log likelihoods (exposures, offsets) of starts relative to the predicted start."""
-        place = (amplitudes.times_s - self.start_s) / self.period_s
+        times_s, alternation, brightness, trust = amplitudes
+        place = (times_s - self.start_s) / self.period_s
         edges, waves, brights = self._header_terms
         starts, exposures = (place - offset[:, None])[None], self._exposures[:, None, None]
         # twice the alternation and the brightness of a header of gain 1, (3, exposures, offsets, frames) each
         wave, light = np.split(_mean_over(starts, exposures, edges, np.concatenate([waves, brights])), 2)
-        alternation, brighter = 2 * amplitudes.alternation, amplitudes.brightness - amplitudes.brightness.mean()
+        alternation, brighter = 2 * alternation, brightness - brightness.mean()
         # gain g: alternation g wave / 2, brightness g light plus a constant, both linear in the dimmed fractions
         energy, count = float(alternation @ alternation), len(place)
         match, norm = wave @ alternation, _products(wave)
-        if amplitudes.trust:
-            trust, light = amplitudes.trust**2, light - light.mean(-1, keepdims=True)
+        if trust:
+            trust, light = trust**2, light - light.mean(-1, keepdims=True)
             match, norm = match + trust * (light @ brighter), norm + trust * _products(light)
             energy, count = energy + trust * float(brighter @ brighter), 2 * count
         # v match and v norm v of every word's v = (1, part, lit)

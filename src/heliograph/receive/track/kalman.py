@@ -13,9 +13,9 @@ from heliograph.base.arrays import Floats
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.track import kernels
 
+# state: pose vector (x, y, ln pitch, roll, ln blur), rates per second of x, y and ln pitch, and systematic errors of
+# ln pitch and ln blur in sums, where the rim of the panel changes the apparent size
 POSE_SIZE, RATE_STATES, STATE_SIZE = 5, slice(5, 8), 10
-"""State: pose vector (x, y, ln pitch, roll, ln blur), rates per second of x, y and ln pitch, and systematic errors of
-ln pitch and ln blur in sums, where the rim of the panel changes the apparent size."""
 
 
 @dataclass(frozen=True)  # without slots, for the cached property
@@ -49,8 +49,8 @@ class MotionModel:
         return linear, quadratic, cubic
 
 
+# part of the state that a fit observes: H (5, 10), the state to the pose vector, and R (5, 5), errors of the model
 Observation = tuple[Floats, Floats]
-"""Part of the state that a fit observes: H (5, 10), the state to the pose vector, and R (5, 5), errors of the model."""
 
 
 @lru_cache(maxsize=8)  # synchronous sums share one delay
@@ -112,9 +112,8 @@ class PoseState:
         # for tau = 100 patterns: it adds tau^2, as a walk of the variance tau dt
         turn = 0.3 * hypot(self._numbers[5], self._numbers[6]) / model.focal_px
         variance = 0.01**2 * dt / (1000 * model.period_s) + turn**2 * 100 * model.period_s * dt
-        return PoseState(
-            time_s, mean, covariance, self.tilt, self.tilt_covariance + np.array([[variance, 0.0], [0.0, variance]])
-        )
+        tilt_covariance = self.tilt_covariance + np.array([[variance, 0.0], [0.0, variance]])
+        return PoseState(time_s, mean, covariance, self.tilt, tilt_covariance)
 
     def expected(self, observation: Observation) -> tuple[Floats, Floats]:
         """Predict the mean (5,) and the covariance (5, 5) of a fit."""

@@ -7,8 +7,8 @@ import numpy as np
 from heliograph.base.compiled import compiled
 from heliograph.receive.geometry.kernels import invert, median, smallest
 
+# weights of a pair in the usual level of a line, and of a covered line: a slow post covers the rim for 45 pairs
 LINE_RATE, COVERED_LINE_RATE = 0.1, 0.02
-"""Weights of a pair in the usual level of a line, and of a covered line: a slow post covers the rim for 45 pairs."""
 
 
 @compiled()

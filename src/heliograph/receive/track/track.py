@@ -111,16 +111,9 @@ def visible_pixels(visible: Floats, pose: Pose, corner: tuple[int, int], shape: 
     inner = cv2.erode(visible.astype(np.float32), np.ones((3, 3), np.uint8), borderType=cv2.BORDER_REPLICATE)
     middle, inverse = 0.5 * (side - 1), np.linalg.inv(pose.axes)
     first = inverse @ (np.array(corner, float) - (pose.x, pose.y)) + middle
-    return np.asarray(
-        cv2.warpAffine(
-            inner,
-            np.column_stack([inverse, first]),
-            (shape[1], shape[0]),
-            flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        ),
-        np.float64,
-    )
+    map_, flags = np.column_stack([inverse, first]), cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    warped = cv2.warpAffine(inner, map_, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(warped, np.float64)
 
 
 def visible_lines(visible: Floats) -> tuple[Floats, Floats]:
@@ -216,26 +209,21 @@ def preview_pair(
     lines = np.full((2, side + 2), np.nan) if track.lines is None else track.lines.copy()
     # a detected array may be partly covered: the usual levels are still unknown
     light = max(track.gain, track.data_gain) if track.pairs >= parameters.learning_pairs else inf
-    difference, total, noise, change, clear, covered = kernels.preview(
-        up,
-        down,
-        np.array((pose.x - corner[0], pose.y - corner[1])),
-        pose.axes,
-        track.change,
-        lines,
-        (
-            0.5 * side * pose.pitch + parameters.outside_edge_px,
-            square_leds(pose, side),
-            int(parameters.bright_quantile * (side**2 - 1)),
-            # a tenth of the power of random data, which change the light by half
-            0.1 * (0.5 * contrast(pose) * track.data_gain) ** 2,
-            parameters.max_change,
-            parameters.change_rate,
-            parameters.min_visible,
-            line_distance(pose, side),
-            parameters.min_line_change * light,
-        ),
+    middle = np.array((pose.x - corner[0], pose.y - corner[1]))
+    limits = (
+        0.5 * side * pose.pitch + parameters.outside_edge_px,
+        square_leds(pose, side),
+        int(parameters.bright_quantile * (side**2 - 1)),
+        # a tenth of the power of random data, which change the light by half
+        0.1 * (0.5 * contrast(pose) * track.data_gain) ** 2,
+        parameters.max_change,
+        parameters.change_rate,
+        parameters.min_visible,
+        line_distance(pose, side),
+        parameters.min_line_change * light,
     )
+    shown = kernels.preview(up, down, middle, pose.axes, track.change, lines, limits)
+    difference, total, noise, change, clear, covered = shown
     clear = clear if covered else None
     return difference, total, noise, replace(track, change=change, pairs=track.pairs + 1, lines=lines, clear=clear)
 

@@ -6,6 +6,7 @@ from math import sqrt
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 
 from heliograph.base.arrays import Floats
 from heliograph.receive.detect.detection import Detection
@@ -14,14 +15,8 @@ from heliograph.receive.geometry.footprint import image_of
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import AnyFrame, Window, cut_out, window_around
 from heliograph.receive.sync.pairing import FramePair
-from heliograph.receive.track.kalman import (
-    HEADER_OBSERVATION,
-    POSE_SIZE,
-    RATE_STATES,
-    MotionModel,
-    PoseState,
-    sum_observation,
-)
+from heliograph.receive.track import kalman
+from heliograph.receive.track.kalman import POSE_SIZE, MotionModel, PoseState
 from heliograph.receive.track.track import (
     PARAMETERS,
     Track,
@@ -44,9 +39,8 @@ class Tracker:
     def start(self, detection: Detection) -> Track:
         """Start the track of a detected array."""
         fit = detection.fit
-        state = PoseState.start(
-            detection.time_s, fit.vector, widen_covariance(fit.covariance), self._model, detection.drift
-        )
+        covariance = widen_covariance(fit.covariance)
+        state = PoseState.start(detection.time_s, fit.vector, covariance, self._model, detection.drift)
         change = average_around_leds(detection.led_gains, fit.pose)
         # static cells are hidden or dead
         return Track(state, fit.gain, fit.gain, detection.led_gains, detection.time_s, change)
@@ -66,7 +60,7 @@ class Tracker:
         if is_hidden or (open_pixels is not None and not open_pixels.any()):
             return _coast(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
-        observation = sum_observation(pair.late_s)
+        observation = kalman.sum_observation(pair.late_s)
         mean, covariance = predicted.expected(observation)
         prior = Fit(np.concatenate([mean, predicted.tilt]), covariance, track.gain)
         shining = track.shining
@@ -93,31 +87,24 @@ class Tracker:
             # an occluder has light too, and so has the rim of the panel
             gain += 0.1 * (fit.gain - gain)
             gain = min(max(gain, track.data_gain / 1.5), track.data_gain * 1.5)
-        after = replace(
-            track,
-            state=predicted.condition(vector, fit.covariance, observation),
-            gain=gain,
-            score=track.score + 0.1 * (fit.score - track.score),
-            last_seen_s=predicted.time_s,
-        )
+        state = predicted.condition(vector, fit.covariance, observation)
+        score = track.score + 0.1 * (fit.score - track.score)
+        after = replace(track, state=state, gain=gain, score=score, last_seen_s=predicted.time_s)
         return TrackedPair(before, after, fit, seen)
 
     def refine(self, track: Track, pair: FramePair, weights: Floats) -> Track:
         """Refine pitch, roll, blur and tilt by a header, after the fit of the sum."""
         state = track.state
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
-        mean, covariance = state.expected(HEADER_OBSERVATION)
-        both = np.zeros((POSE_SIZE + 2, POSE_SIZE + 2))
-        both[:POSE_SIZE, :POSE_SIZE], both[POSE_SIZE:, POSE_SIZE:] = covariance, state.tilt_covariance
-        prior = Fit(np.append(mean, state.tilt), both)
-        fit = fit_array(
-            up - down, corner, prior, weights * track.shining, PARAMETERS.pair_steps, smear=self._smear(state)
-        )
+        mean, covariance = state.expected(kalman.HEADER_OBSERVATION)
+        prior = Fit(np.append(mean, state.tilt), block_diag(covariance, state.tilt_covariance))
+        lit, smear = weights * track.shining, self._smear(state)
+        fit = fit_array(up - down, corner, prior, lit, PARAMETERS.pair_steps, smear=smear)
         # a half hidden header has more
         if fit.score < 0.6:
             return track
         posterior = fit.covariance[:POSE_SIZE, :POSE_SIZE]
-        state = state.condition(fit.vector[:POSE_SIZE], posterior, HEADER_OBSERVATION)
+        state = state.condition(fit.vector[:POSE_SIZE], posterior, kalman.HEADER_OBSERVATION)
         tilt_covariance = fit.covariance[POSE_SIZE:, POSE_SIZE:]
         state = replace(state, tilt=fit.vector[POSE_SIZE:], tilt_covariance=tilt_covariance)
         return replace(track, state=state, data_gain=fit.gain)
@@ -148,7 +135,7 @@ class Tracker:
     def _smear(self, state: PoseState) -> tuple[float, float]:
         """Return the standard deviations in px of the motion during a pair: uniform over two patterns."""
         # (2 v T_b)^2 / 12, v by the filter; more than 2 px is an error of the filter
-        x, y, *_ = state.mean[RATE_STATES].tolist()
+        x, y, *_ = state.mean[kalman.RATE_STATES].tolist()
         spread = 2 * self._model.period_s / sqrt(12)
         return min(spread * abs(x), 2.0), min(spread * abs(y), 2.0)
 

@@ -1,4 +1,4 @@
-"""Compiled loops of sampling at the LEDs."""
+"""Cubic interpolation of images, compiled; `tests/oracles/per_led_oracle.py` is the reference."""
 
 import math
 
