@@ -1,7 +1,7 @@
 """Channel codes of standards for comparison: LDPC codes of 5G NR and 802.11n, and the convolutional code of LTE.
 
-Libraries decode: `ldpc` by belief propagation, `komm` by the BCJR algorithm (extra ``codes``). The rate matching is that
-of the standards, with no bit interleaver, as packets interleave. `heliograph.published.polar` has the polar code.
+Libraries decode: `ldpc` by belief propagation, `komm` by the BCJR algorithm (extra ``codes``). LDPC codes have the rate
+matching of the standards with no bit interleaver, as packets interleave. The polar code is in another module.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,7 @@ class Decoded:
 def table(name: str) -> NDArray[np.int64]:
     """Return a table of a standard.
 
-    "nr_base_graph_2" (row, column, shifts by set index) and "polar_order": 3GPP TS 38.212, Tables 5.3.2-3 and 5.3.1.2-1.
+    "nr_base_graph_2" (row, column, shifts by set index): 3GPP TS 38.212, Table 5.3.2-3; "polar_order": Table 5.3.1.2-1.
     "wifi_1944", -1 for no connection: IEEE 802.11, Annex F, rate 1/2.
     """
     with np.load(Path(__file__).with_name("codes.npz")) as tables:
