@@ -230,7 +230,8 @@ def _bcjr(k: int) -> Any:
         import komm
     except ImportError:
         raise HeliographError(_missing("komm")) from None
-    code = komm.ConvolutionalCode([[0o133, 0o171, 0o165]])
+    # the library takes the current bit as the lowest, the standard as the highest
+    code = komm.ConvolutionalCode([[int(f"{polynomial:07b}"[::-1], 2) for polynomial in (0o133, 0o171, 0o165)]])
     return komm.BCJRDecoder(komm.TerminatedConvolutionalCode(code, k, mode="zero-termination"), output_type="soft")
 
 

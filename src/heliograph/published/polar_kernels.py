@@ -17,10 +17,12 @@ def decode_lists(llr: NDArray[np.float32], frozen: NDArray[np.bool_], most: int)
     soft, left = np.empty((most, 2 * size), np.float32), np.empty((most, 2 * size), np.uint8)
     bits, metric = np.empty((most, size), np.uint8), np.empty(most, np.float32)
     sums, costs = np.empty(2 * size, np.uint8), np.empty(2 * most, np.float32)
-    kept, free = np.empty((most, 2), np.bool_), np.empty(most, np.int64)
+    kept, free, order = np.empty(2 * most, np.bool_), np.empty(most, np.int64), np.empty(2 * most, np.int64)
     for block in range(blocks):
         paths, metric[0] = 1, 0
-        soft[:, size:] = llr[block]
+        for path in range(most):
+            for i in range(size):
+                soft[path, size + i] = llr[block, i]
         for leaf in range(size):
             for path in range(paths):
                 _update_soft(soft[path], left[path], leaf, size)
@@ -31,33 +33,47 @@ def decode_lists(llr: NDArray[np.float32], frozen: NDArray[np.bool_], most: int)
                 for path in range(paths):
                     metric[path], bits[path, leaf] = costs[2 * path], 0
             else:
-                kept[:] = False
-                for choice in np.argsort(costs[: 2 * paths])[:most]:
-                    kept[choice // 2, choice % 2] = True
+                _sort(costs, order, 2 * paths)
+                for place in range(2 * paths):
+                    kept[order[place]] = place < most
                 old, vacant = paths, 0
                 for path in range(old):
-                    if not kept[path].any():
+                    if not (kept[2 * path] or kept[2 * path + 1]):
                         free[vacant] = path
                         vacant += 1
                 for path in range(old):
-                    if not kept[path].any():
+                    first = 0 if kept[2 * path] else 1
+                    if not kept[2 * path + first]:
                         continue
-                    first = 0 if kept[path, 0] else 1
-                    if kept[path].all():
+                    if kept[2 * path] and kept[2 * path + 1]:
                         if vacant:
                             vacant -= 1
                             target = free[vacant]
                         else:
                             target, paths = paths, paths + 1
-                        soft[target, :size], left[target] = soft[path, :size], left[path]
-                        bits[target, :leaf] = bits[path, :leaf]
+                        for i in range(size):
+                            soft[target, i], left[target, i] = soft[path, i], left[path, i]
+                            bits[target, i] = bits[path, i]
                         metric[target], bits[target, leaf] = costs[2 * path + 1], 1
                     metric[path], bits[path, leaf] = costs[2 * path + first], first
             for path in range(paths):
                 _update_left(left[path], bits[path, leaf], leaf, sums)
-        for place, path in enumerate(np.argsort(metric[:paths])):
-            found[block, place] = bits[path]
+        _sort(metric, order, paths)
+        for place in range(paths):
+            for i in range(size):
+                found[block, place, i] = bits[order[place], i]
     return found
+
+
+@compiled()
+def _sort(values: NDArray[np.float32], order: NDArray[np.int64], count: int) -> None:
+    """Store the indices of the first values in ascending order; for a few values, compiled faster than argsort."""
+    for i in range(count):
+        place = i
+        while place and values[order[place - 1]] > values[i]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = i
 
 
 @compiled()
@@ -87,4 +103,5 @@ def _update_left(left: NDArray[np.uint8], bit: int, leaf: int, sums: NDArray[np.
             sums[i] ^= left[half + i]
         half *= 2
     if 2 * half <= len(left):
-        left[half : 2 * half] = sums[:half]
+        for i in range(half):
+            left[half + i] = sums[i]
