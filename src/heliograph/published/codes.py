@@ -164,7 +164,7 @@ def _rate_matched(base: NDArray[np.int64], z: int, core: int, k: int, punctured:
 def _belief_propagation(code: LdpcCode, iterations: int) -> tuple[Indices, Any]:
     """Return the codeword positions that the decoder takes, and the decoder."""
     try:
-        from ldpc import BpDecoder
+        from ldpc.bp_decoder import BpDecoder
     except ImportError:
         raise HeliographError(_missing("ldpc")) from None
     lifted = _lift(code)
