@@ -50,7 +50,7 @@ class Lifted(NamedTuple):
 
     base: NDArray[np.int64]
     z: int  # lifting size
-    core: int  # rows of the dual-diagonal part; each further row has a parity column of its own
+    core: int  # rows of the dual-diagonal part; each further row has a separate parity column
     known: Indices  # positions of filler zeros in a codeword
     order: Indices  # positions of the bits that rate matching sends, in order
 
@@ -219,7 +219,7 @@ class ConvolutionalCode:
 
 
 def decisions(llr: NDArray[np.float32], received: NDArray[Any]) -> Decoded:
-    """Return the results of a decoder of one iteration that gives LLRs of the information bits alone."""
+    """Return decoding results with no extrinsic LLRs, after one iteration."""
     extrinsic = np.zeros(received.shape, np.float32)
     return Decoded((llr < 0).astype(np.uint8), llr, np.ones(len(llr), np.int32), extrinsic)
 
