@@ -23,7 +23,7 @@ $(DEMO_STAMP): pyproject.toml
 
 # what the tests, the examples and the tools need beyond the package
 $(STAMP): $(DEMO_STAMP)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,examples]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,examples,codes]'
 	touch $@
 
 demo: $(DEMO_STAMP)

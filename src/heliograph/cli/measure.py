@@ -7,10 +7,11 @@ from typing import Annotated
 import typer
 
 from heliograph.base.errors import SettingsError
+from heliograph.base.files import write_whole
 from heliograph.base.workers import limit_threads
 from heliograph.cli import console, options
 from heliograph.cli.options import option
-from heliograph.experiments import known_receiver
+from heliograph.experiments import code_errors, known_receiver
 from heliograph.experiments.detection import acquisition as detection
 from heliograph.experiments.detection import header_separation as headers
 from heliograph.experiments.error_rates import real_input
@@ -20,6 +21,7 @@ from heliograph.experiments.patterns import timing_loss as timing
 from heliograph.experiments.report import Context
 from heliograph.link.truth import open_truth, truth_path
 from heliograph.measure.statistics import Count
+from heliograph.signal.code import CODES, list_codes
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.executors import cores, fewer_workers
 
@@ -40,6 +42,11 @@ def main(context: typer.Context) -> None:
 def complete_scene(start: str) -> list[str]:
     """Return scenes for shell completion."""
     return [name for name in hard_scenes.SCENES if name.startswith(start)]
+
+
+def complete_code(start: str) -> list[str]:
+    """Return channel codes for shell completion."""
+    return [name for name in list_codes() if name.startswith(start)]
 
 
 def measurement(function: Callable[..., None]) -> Callable[..., None]:
@@ -180,6 +187,37 @@ def lossy(
     lines = real_input.error_lines(reception.errors) if reception.errors else ()
     console.say(f"{out}: {reception.frames} frames, {kilobytes:.1f} kB a frame")
     console.say_lines("\n".join(f"  {line}" for line in lines))
+
+
+@measurement
+def codes(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[CODE ...]", help="All by default.", autocompletion=complete_code)
+    ] = None,
+    ebn0: str = option("Values of Eb/N0 in dB.", "DB,DB", default="0,0.5,1,1.5,2"),
+    bits: int = option("Coded bits of a packet's layer.", default=1536, min=1),
+    rate: float = option("Information bits per coded bit.", default=1 / 3, min=0.05, max=0.9),
+    errors: int = option("Wrong blocks that complete a point.", default=100, min=1),
+    blocks: int = option("Maximum number of blocks of a point.", default=2000, min=1),
+    seed: options.Seed = 1,
+    figure: Path | None = option("Draw the block error rates, as SVG.", "FILE"),
+) -> None:
+    """Count wrong blocks of channel codes over Eb/N0.
+
+    Same white Gaussian noise for all codes, 95 % intervals.
+    """
+    counts, chosen, points = dict[tuple[str, float], Count](), names or list_codes(), _numbers(ebn0)
+    for name in chosen:
+        family = CODES[name]
+        try:
+            plan = family(bits, rate)
+        except ValueError as error:
+            raise SettingsError(f"the code {name} has no codeword: {error}; change --bits or --rate") from None
+        for point in points:
+            count = counts[name, point] = code_errors.count_blocks(plan, point, errors, blocks, seed)
+            console.say(f"{name}, {plan.code.k} of {plan.code.length} bits, {point:g} dB: {_count_text(count)}")
+    if figure:
+        write_whole(figure, code_errors.draw(counts, chosen))
 
 
 @measurement

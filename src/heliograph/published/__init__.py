@@ -1,1 +1,1 @@
-"""Published receivers by name: each module states the source, the rule, and what the source leaves open."""
+"""Published receivers and channel codes by name: each module states the source, the rule, and its open points."""

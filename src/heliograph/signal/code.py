@@ -1,7 +1,7 @@
 """Channel codes: code interface and registry.
 
-The air interface uses the code "turbo". Programs may register further codes for research; transmitter and receiver
-then set ``signal.code``.
+The air interface uses the code "turbo". For research, there are codes of other standards, and programs may register
+further codes; transmitter and receiver then set ``signal.code``.
 """
 
 from collections.abc import Callable
@@ -113,7 +113,17 @@ The codewords fill the coded bits exactly: codewords * code.length equals the nu
 the function raises a `ValueError` with the reason.
 """
 
-CODES: Registry[CodeFamily] = Registry("code", "heliograph.codes", {"turbo": "heliograph.signal.turbo.code:turbo_plan"})
+CODES: Registry[CodeFamily] = Registry(
+    "code",
+    "heliograph.codes",
+    {
+        "turbo": "heliograph.signal.turbo.code:turbo_plan",
+        "ldpc-nr": "heliograph.published.codes:ldpc_nr",
+        "ldpc-wifi": "heliograph.published.codes:ldpc_wifi",
+        "polar-nr": "heliograph.published.polar:polar_nr",
+        "convolutional": "heliograph.published.codes:convolutional",
+    },
+)
 """Registry for the setting ``signal.code``."""
 
 

@@ -77,8 +77,8 @@ class SignalSettings:
     rate
         Turbo code rates by layer.
     code
-        Name of the channel code. The air interface uses "turbo"; programs may register other codes for research at both
-        ends.
+        Name of the channel code. The air interface uses "turbo"; `heliograph.list_codes` also names those of other
+        standards, for research at both ends, and others may be registered.
     modulation
         "haar", the hierarchical code, or "ook", on-off keying for each LED.
     light
