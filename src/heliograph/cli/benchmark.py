@@ -68,7 +68,7 @@ def benchmark(
 
 def _show(tallies: Sequence[PointTally]) -> None:
     """Print a row for each scenario and receiver, and the first refusal of each receiver."""
-    head = ["scenario", "receiver", *LAYERS, "found", "net bit/s", "distance", "ms/frame"]
+    head = ["scenario", "receiver", *LAYERS, "found", "net bit/s", "distance", "in region", "ms/frame"]
     console.say_table(head, [[*_row(tally)] for tally in tallies])
     refusals = {str(tally.point.choice["receiver"]): tally.refusal for tally in reversed(tallies) if tally.refusal}
     for name, refusal in refusals.items():
@@ -82,6 +82,7 @@ def _row(tally: PointTally) -> Iterator[str]:
     yield "-" if tally.refusal else f"{tally.total.detected}/{tally.total.packets}"
     yield "-" if tally.net_bits_per_second is None else f"{tally.net_bits_per_second:.0f}"
     yield "-" if tally.distance_error is None else f"{100 * tally.distance_error:.2g} %"
+    yield f"{tally.total.covered_poses}/{tally.total.located}" if tally.total.located else "-"
     yield "-" if math.isnan(tally.frame_ms) else f"{tally.frame_ms:.2g}"
 
 

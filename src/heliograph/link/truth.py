@@ -10,7 +10,7 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import reduce
 from itertools import accumulate, pairwise, product
 from operator import attrgetter
@@ -139,6 +139,8 @@ class FrameTruth:
     distances_m: Sequence[float]
     # True for arrays with all LEDs in view
     visible: Sequence[bool]
+    # (arrays, 3, 3) as in `ArrayTruth`; empty if unknown
+    homographies: NDArray[Any] = field(default_factory=lambda: np.empty((0, 3, 3)))
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,11 @@ class TruthFile:
         for row in self.rows():
             arrays = row["arrays"]
             yield FrameTruth(
-                int(row["index"]), float(row["time_s"]), arrays["distance_m"].tolist(), arrays["visible"].tolist()
+                int(row["index"]),
+                float(row["time_s"]),
+                arrays["distance_m"].tolist(),
+                arrays["visible"].tolist(),
+                arrays["homography"],
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:

@@ -114,7 +114,7 @@ def _counts(reception: ReceptionCounter, settings: LinkSettings, receiver_s: flo
     assert errors is not None
     bins = errors.bins()
     packets, detected = errors.detected()
-    distance_errors = errors.distance_errors()
+    distance_errors, covered = errors.distance_errors(), errors.covered()
     arrays = [reception.arrays[n] for n in settings.transmit.identities if n in reception.arrays]
     return BlockCounts(
         layers=pooled(bins.values()),
@@ -129,5 +129,8 @@ def _counts(reception: ReceptionCounter, settings: LinkSettings, receiver_s: flo
         frames=reception.frames,
         distances=len(distance_errors),
         distance_squares=math.fsum(error**2 for error in distance_errors),
+        located=len(covered),
+        covered_positions=sum(position for position, _ in covered),
+        covered_poses=sum(pose for _, pose in covered),
         receiver_s=max(receiver_s, 0.0),
     )

@@ -133,6 +133,10 @@ class BlockCounts:
     # Received packets with a distance, and the sum of their squared relative errors
     distances: Number = 0
     distance_squares: Amount = 0.0
+    # Decoded packets with poses in space, and those whose 95 % regions hold the true position and the true pose
+    located: Number = 0
+    covered_positions: Number = 0
+    covered_poses: Number = 0
     # Processor time of the receiver in s
     receiver_s: Amount = field(default=0.0, compare=False)
 
@@ -145,7 +149,7 @@ class BlockCounts:
         starts = dict.fromkeys([*self.bins, *other.bins])
         numbers = (
             "packets", "detected", "false_codewords", "false_packets", "duplicates", "film_s", "frames", "distances",
-            "distance_squares", "receiver_s",
+            "distance_squares", "located", "covered_positions", "covered_poses", "receiver_s",
         )  # fmt: skip
         return BlockCounts(
             pooled([self.layers, other.layers]),

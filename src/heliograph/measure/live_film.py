@@ -58,4 +58,5 @@ class LiveFilm:
 def _frame_truth(truth: Truth) -> FrameTruth:
     # single precision as in a truth file
     distances = [float(np.float32(array.distance_m)) for array in truth.arrays]
-    return FrameTruth(truth.index, truth.time_s, distances, [array.visible for array in truth.arrays])
+    homographies = np.array([array.homography for array in truth.arrays], np.float32)
+    return FrameTruth(truth.index, truth.time_s, distances, [array.visible for array in truth.arrays], homographies)

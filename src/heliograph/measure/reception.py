@@ -100,7 +100,7 @@ class ReceptionCounter:
         if self._truths is None or self.errors is None:
             return
         for truth in self._truths:
-            self.errors.saw(truth.time_s, truth.distances_m, truth.visible)
+            self.errors.saw(truth.time_s, truth.distances_m, truth.visible, truth.homographies)
             if truth.index >= index:
                 break
 

@@ -54,6 +54,9 @@ POINT_VALUES = (
     ("false_packets", "1", "received packets that were not sent"),
     ("duplicates", "1", "packets received again"),
     ("distance_error", "1", "relative rms error of the distance of received packets"),
+    ("located", "1", "decoded packets with stated poses in space"),
+    ("covered_positions", "1", "located packets with the true position in a stated 95 % region"),
+    ("covered_poses", "1", "located packets with the true position and orientation in a stated 95 % region"),
     ("blocks", "1", "films counted"),
 )
 """Variables of a point: name, unit and meaning."""
