@@ -10,7 +10,7 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import reduce
 from itertools import accumulate, pairwise, product
 from operator import attrgetter
@@ -141,6 +141,8 @@ class FrameTruth:
     visible: Sequence[bool]
     # Centre (x, y) and pitch of each array in px; empty if unknown
     places: Sequence[Sequence[float]] = ()
+    # (arrays, 3, 3) as in `ArrayTruth`; empty if unknown
+    homographies: NDArray[Any] = field(default_factory=lambda: np.empty((0, 3, 3)))
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,7 @@ class TruthFile:
                 arrays["distance_m"].tolist(),
                 arrays["visible"].tolist(),
                 arrays[["x", "y", "pitch_px"]].tolist(),
+                arrays["homography"],
             )
 
     def rows(self) -> Iterator[NDArray[Any]]:

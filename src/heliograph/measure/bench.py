@@ -113,7 +113,7 @@ def _counts(reception: ReceptionCounter, settings: LinkSettings) -> BlockCounts:
     assert errors is not None
     bins = errors.bins()
     packets, detected = errors.detected()
-    distance_errors = errors.distance_errors()
+    distance_errors, covered = errors.distance_errors(), errors.covered()
     arrays = [reception.arrays[n] for n in settings.transmit.identities if n in reception.arrays]
     return BlockCounts(
         layers=pooled(bins.values()),
@@ -125,6 +125,9 @@ def _counts(reception: ReceptionCounter, settings: LinkSettings) -> BlockCounts:
         frames=reception.frames,
         distances=len(distance_errors),
         distance_squares=math.fsum(error**2 for error in distance_errors),
+        posed=len(covered),
+        covered_positions=sum(position for position, _ in covered),
+        covered_poses=sum(pose for _, pose in covered),
         receiver_s=reception.receiver_s,
         processing=dict(reception.processing),
         **errors.outcomes(),

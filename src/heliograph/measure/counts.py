@@ -138,6 +138,10 @@ class BlockCounts:
     # Received packets with a distance, and the sum of their squared relative errors
     distances: Number = 0
     distance_squares: Amount = 0.0
+    # Decoded packets with poses in space, and those whose 95 % regions hold the true position and the true pose
+    posed: Number = 0
+    covered_positions: Number = 0
+    covered_poses: Number = 0
     # Processor time of the receiver in s
     receiver_s: Amount = field(default=0.0, compare=False)
     # Received packets without a codeword of identities that no array has, and detections of no array

@@ -1,13 +1,16 @@
 """Error counts of received packets by layer and distance."""
 
 import math
-from collections import Counter
+from bisect import bisect_left
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters
@@ -47,6 +50,8 @@ class _Sent:
     # Error of the position of the best reception in px and in sides of the array; NaN if unknown
     position_px: float = math.nan
     position_sides: float = math.nan
+    # True if the stated 95 % regions of position and pose in space hold the truth; None without a statement
+    covered: tuple[bool, bool] | None = None
 
 
 class ErrorCounter:
@@ -64,6 +69,9 @@ class ErrorCounter:
         self._visible_s: dict[int, float] = {}
         self._last_s: float | None = None
         self._times_s: list[float] = []
+        # time and homographies of the frames of the last packets; decoding takes less than three packets
+        frames = math.ceil(5 * settings.signal.packet_s * settings.channel.camera.fps)
+        self._recent: deque[tuple[float, NDArray[Any]]] = deque(maxlen=frames)
 
     def saw(
         self,
@@ -71,10 +79,13 @@ class ErrorCounter:
         distances_m: Sequence[float],
         visible: Sequence[bool],
         places: Sequence[Sequence[float]] = (),
+        homographies: NDArray[Any] | None = None,
     ) -> None:
         """Add the truth of a frame, in temporal order."""
         lost, self._last_s = self._lost_before(time_s), time_s
         self._times_s.append(time_s)
+        if homographies is not None and len(homographies):
+            self._recent.append((time_s, homographies))
         for array, (distance, in_view) in enumerate(zip(distances_m, visible, strict=True)):
             if in_view:
                 self._visible_s.setdefault(array, time_s)
@@ -120,6 +131,7 @@ class ErrorCounter:
                 sent.position_px = math.hypot(packet.pose.x - x, packet.pose.y - y)
                 sent.position_sides = sent.position_px / (pitch * self._settings.signal.side)
             sent.distance_error = float(np.minimum(1.0, abs(packet.distance_m / sent.distance_m - 1)))
+            sent.covered = self._covered(array, packet)
 
     def bins(self) -> dict[float, Layers]:
         """Return errors by the lower edge of the distance bin and by layer, near first.
@@ -166,6 +178,10 @@ class ErrorCounter:
             "acquisition": dict(Counter(map(ticks, waits_s))),
             "latency": dict(Counter(ticks(sent.latency_s) for sent in read)),
         }
+
+    def covered(self) -> list[tuple[bool, bool]]:
+        """Return for each located packet if the stated 95 % regions of position and pose hold the truth."""
+        return [sent.covered for _, _, sent in self._counted() if sent.covered is not None]
 
     def report(self) -> list[dict[str, Any]]:
         """Return the bins as plain values for JSON."""
@@ -219,6 +235,34 @@ class ErrorCounter:
                 self.false_codewords += word.status == "ok" and wrong > 0
             layers[name] = LayerCounts.of_packet(bits, raw, sent_words, final_raw)
         return layers, right, payload_bits
+
+    def _covered(self, array: int, packet: Packet) -> tuple[bool, bool] | None:
+        """Compare the poses in space with the truth; of several poses, one must be right."""
+        times = [time_s for time_s, _ in self._recent]
+        if not (packet.has_codeword and packet.spatial_poses and times):
+            return None
+        # between two frames
+        time_s = self._true_time(packet.spatial_poses[0].time_s)
+        later = min(max(bisect_left(times, time_s), 1), len(times) - 1)
+        (before_s, before), (after_s, after) = self._recent[max(later - 1, 0)], self._recent[later]
+        part = (time_s - before_s) / (after_s - before_s) if after_s > before_s else 0.0
+        camera = self._settings.channel.camera
+        lens: NDArray[Any] = np.array(
+            [[camera.focal_px, 0, (camera.width - 1) / 2], [0, camera.focal_px, (camera.height - 1) / 2], [0, 0, 1]]
+        )
+        right, down, centre = np.linalg.solve(lens, before[array] + part * (after[array] - before[array])).T
+        true = Rotation.from_matrix(np.stack([right, down, np.cross(right, down)], axis=1))
+        within = [
+            [
+                error[:size] @ np.linalg.solve(pose.covariance[:size, :size], error[:size]) < chdtri(size, 0.05)
+                for size in (3, 6)
+            ]
+            for pose in packet.spatial_poses
+            for turn in [true * Rotation.from_rotvec(pose.rotation_rad).inv()]
+            for error in [np.append(centre - pose.translation_m, turn.as_rotvec())]
+        ]
+        position, both = np.any(within, axis=0).tolist()
+        return position, both
 
     def _count_false(self, packet: Packet) -> None:
         if not packet.has_codeword and packet.identity not in self._settings.transmit.identities:

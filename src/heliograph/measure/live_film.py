@@ -51,4 +51,5 @@ def _frame_truth(truth: Truth) -> FrameTruth:
     values = [(array.distance_m, array.x, array.y, array.pitch_px) for array in truth.arrays]
     distances, *places = np.array(values, np.float32).reshape(-1, 4).T.tolist()
     visible = [array.visible for array in truth.arrays]
-    return FrameTruth(truth.index, truth.time_s, distances, visible, [*zip(*places, strict=True)])
+    homographies = np.array([array.homography for array in truth.arrays], np.float32)
+    return FrameTruth(truth.index, truth.time_s, distances, visible, [*zip(*places, strict=True)], homographies)

@@ -106,7 +106,7 @@ class ReceptionCounter:
         if self._truths is None or self.errors is None:
             return
         for truth in self._truths:
-            self.errors.saw(truth.time_s, truth.distances_m, truth.visible, truth.places)
+            self.errors.saw(truth.time_s, truth.distances_m, truth.visible, truth.places, truth.homographies)
             if truth.index >= index:
                 break
 

@@ -22,6 +22,7 @@ from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.packet import MIN_HEADER_SCORE, MIN_PAIRS_SEEN, Packet
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.pairing import DuePair, FramePair, MeasuredHeader, Pairing
+from heliograph.receive.track.spatial import spatial_poses
 from heliograph.receive.track.track import TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
@@ -261,7 +262,8 @@ class ArrayReceiver:
         """Return the packet before decoding; at least one pair must be recorded."""
         # by the camera's clock
         patterns = 2 * (self._number - self._number % self._pairs) - self._start_lost
-        state = self._tracked[len(self._tracked) // 2].state
+        track = self._tracked[len(self._tracked) // 2].track
+        state = track.state
         pose, variance = self._view.pose_out(state.pose), state.covariance
         return Packet(
             identity=self.identity,
@@ -277,6 +279,7 @@ class ArrayReceiver:
             layers={},
             orientation=self.orientation,
             pose_std_px=2**self._view.level * math.sqrt(0.5 * (variance[0, 0] + variance[1, 1])),
+            spatial_poses=spatial_poses(track, self._view, self._signal.packet_s, self._calibration),
         )
 
     @property

@@ -97,6 +97,29 @@ def with_raw(words: Words, first: Words) -> Words:
 
 
 @dataclass(frozen=True, slots=True)
+class SpatialPose:
+    """A pose of an array in the axes of the camera: right, down, forward.
+
+    Attributes
+    ----------
+    time_s
+        Time in seconds of the camera's clock.
+    translation_m
+        (3,) centre of the array in metres from the camera.
+    rotation_rad
+        (3,) rotation vector in radians; 0 for an upright array parallel to the sensor.
+    covariance
+        (6, 6) covariance of the errors: of the translation, and of the rotation vector that turns the stated
+        orientation to the true one.
+    """
+
+    time_s: float
+    translation_m: NDArray[np.float64]
+    rotation_rad: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
 class Packet:
     """A received packet.
 
@@ -135,6 +158,9 @@ class Packet:
     pose_std_px
         Standard deviation of the tracked position in px, by the tracker's own covariance in the packet's middle; NaN if
         the receiver has none.
+    spatial_poses
+        The two poses in space that fit the image, equally probable: of opposite tilt, so that the sign of the yaw stays
+        open. Each with the covariance if it is the true one. Empty if the receiver states none.
     """
 
     identity: int
@@ -152,6 +178,7 @@ class Packet:
     orientation: Orientation = UPRIGHT
     reason: str = ""
     pose_std_px: float = math.nan
+    spatial_poses: tuple[SpatialPose, ...] = ()
 
     def explain(self) -> str:
         """Explain missing codewords: return the conditions of the reception, one per line.

@@ -47,6 +47,8 @@ class CalibrationSettings:
         Pitch of the camera's pixels in m, 1e-7 to 1e-3.
     pitch_m
         Pitch of the LEDs in m, 1e-4 to 10.
+    centre_px
+        Image (x, y) of the optical axis in px. If left out, the centre of the reference sensor of 1024 x 512 pixels.
     blur_px
         First guess of the blur's standard deviation in px, 0.2 to 5; the receiver refines it.
     exposure_s
@@ -57,6 +59,7 @@ class CalibrationSettings:
     focal_m: FocalM = 0.035
     pixel_m: PixelM = 12e-6
     pitch_m: PitchM = 0.02
+    centre_px: tuple[PlaceInPx, PlaceInPx] = (511.5, 255.5)
     blur_px: Annotated[float, Field(ge=0.2, le=5)] = 0.55
     exposure_s: Annotated[float, Field(ge=1e-9, le=10)] | None = None
 
