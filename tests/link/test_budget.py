@@ -15,6 +15,7 @@ from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import default_messages, simulate
 from heliograph.receive.api import make_receiver
 from heliograph.receive.events import DetectEvent, Event
+from heliograph.signal.packet import PacketFormat
 
 SMALL: dict[str, Any] = {"signal": {"side": 4, "data_pairs": 192}}
 
@@ -40,6 +41,24 @@ def test_array_appears_as_in_the_reference_link(reference: heliograph.Budget) ->
     assert spot.noise == pytest.approx(0.006, rel=0.02)
     assert reference.notes == ()
     assert spot.blur_pitches == pytest.approx(spot.blur_px / spot.pitch_px)
+
+
+@pytest.mark.slow
+def test_photoelectrons_per_bit_agree_with_a_film() -> None:
+    """The light of a packet, in the gray levels of a film without the light of the panel."""
+    changes = {"sensor": {"dark_noise_e": 0}, "background": {"kind": "flat"}}
+    lit, dark = (
+        small(distance_m=60.0, duration_s=0.5, emitter=emitter, **changes) for emitter in ({}, {"all_on": 1e-6})
+    )
+    gray = [
+        sum(float(frame.pixels.sum(dtype="float64")) for frame, _ in simulate(link, default_messages(link), 7))
+        for link in (lit, dark)
+    ]
+    sensor, signal = lit.channel.sensor, lit.signal
+    electrons = (gray[0] - gray[1]) * sensor.full_well_e / sensor.full_scale
+    layers = PacketFormat(signal).layers.values()
+    bits = sum(layer.codewords * layer.code.k for layer in layers) * 0.5 / signal.packet_s
+    assert electrons / bits == pytest.approx(heliograph.budget(lit).spot.electrons_bit, rel=0.03)
 
 
 @pytest.mark.slow

@@ -116,7 +116,8 @@ def _flicker(link: LinkSettings) -> dict[str, tuple[Flicker, float]]:
 
 def _show_spots(choices: Sequence[Mapping[str, Any]], spots: Sequence[Spot]) -> None:
     """Print a row for each point: the image of the array."""
-    head = [*choices[0], "m", "px/LED", "px/side", "e-/LED", "e-/px", "light", "peak", "noise", "blur px", "blur/pitch"]
+    names = "m", "px/LED", "px/side", "e-/LED", "e-/px", "light", "peak", "noise", "blur px", "blur/pitch", "e-/bit"
+    head = [*choices[0], *names]
     rows = [
         [*map(str, choice.values()), *(f"{number:.3g}" for number in astuple(spot)[:-1])]
         for choice, spot in zip(choices, spots, strict=True)

@@ -91,6 +91,8 @@ class Spot:
         Standard deviation of an LED image in px: lens, emitter and pixel area.
     blur_pitches
         The same in pitches; the low layer fades above about 0.6.
+    electrons_bit
+        Photoelectrons per information bit: light of a packet over the information bits of all codewords.
     lens_px
         Minimum blur in px at this f-number: diffraction, and defocus for a focus at infinity.
     """
@@ -105,6 +107,7 @@ class Spot:
     noise: float
     blur_px: float
     blur_pitches: float
+    electrons_bit: float
     lens_px: float
 
 
@@ -177,7 +180,7 @@ def budgets(links: Iterable[LinkSettings], light: LightSettings) -> Iterator[Bud
     estimators: dict[LinkSettings, RangeEstimator] = {}
     for settings in links:
         channel, formats, all_on = settings.channel, _received_formats(settings), light.all_on(settings.channel)
-        spot = _spot(settings, light, all_on)
+        spot = _spot(settings, light, all_on, formats[0][1])
         found = {name: detection_range_m(settings, name) for name in ("plain", "soft")}
         layers: tuple[LayerReach, ...] = ()
         if 0 < spot.light <= MAX_LIGHT:
@@ -244,8 +247,8 @@ def detection_range_m(settings: LinkSettings, receiver: str) -> float:
     return settings.signal.side * settings.channel.emitter.pitch_m * settings.channel.camera.focal_px / min_side_px
 
 
-def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
-    channel = settings.channel
+def _spot(settings: LinkSettings, light: LightSettings, all_on: float, form: Format) -> Spot:
+    channel, packet = settings.channel, PacketFormat(settings.signal, form)
     camera, emitter, place = channel.camera, channel.emitter, channel.arrays[0]
     distance_m = channel.distance_m + place.z_offset_m
     if distance_m <= 0:
@@ -256,17 +259,21 @@ def _spot(settings: LinkSettings, light: LightSettings, all_on: float) -> Spot:
     all_on *= place.brightness
     blur_px = math.sqrt(camera.blur_px**2 + (emitter.diameter_m / 4 * pitch_px / emitter.pitch_m) ** 2 + 1 / 12)
     electrons_px = all_on * image.light * channel.sensor.full_well_e
+    electrons_led = electrons_px * pitch_px**2
+    # on average, half of the LEDs are lit
+    electrons = settings.signal.side**2 * electrons_led * packet.settings.packet_patterns / 2
     return Spot(
         distance_m=distance_m,
         pitch_px=pitch_px,
         side_px=settings.signal.side * pitch_px,
-        electrons_led=electrons_px * pitch_px**2,
+        electrons_led=electrons_led,
         electrons_px=electrons_px,
         light=all_on * image.light,
         peak=all_on * float(image.leds.sum((2, 3)).max()),
         noise=noise_share(channel, all_on * image.light, distance_m),
         blur_px=blur_px,
         blur_pitches=blur_px / pitch_px,
+        electrons_bit=electrons / sum(layer.codewords * layer.code.k for layer in packet.layers.values()),
         lens_px=light.lens_blur_px(channel, distance_m),
     )
 
