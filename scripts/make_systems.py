@@ -36,7 +36,7 @@ packet, half of the LEDs lit on average, and k information bits of the codewords
 prints the value for k of all codewords as `e-/bit`.
 
 The bound has the mutual information of each symbol with all others, pose and blur known
-([budget](budget.md#ranges)), summed over the symbols, in place of k.
+([budget](budget.md#range)), summed over the symbols, in place of k.
 
 **No abstract or text read states the light at the lens**: intensity, f-number, exposure and efficiency together.
 The value of Nagura et al. is derived with the light of the reference link, 16 kbit/s and 80 m. All others are

@@ -73,7 +73,7 @@ def benchmark(
 
 def _show(metrics: bool, tallies: Sequence[PointTally]) -> None:
     """Print a row for each scenario and receiver, and the first refusal of each receiver."""
-    head = ["scenario", "receiver", *LAYERS, "found", "net bit/s", "distance", "in region", "ms/frame"]
+    head = ["scenario", "receiver", *LAYERS, "found", "net bit/s", "distance", "ms/frame"]
     console.say_table(head, [[*_row(tally)] for tally in tallies])
     if metrics:
         console.say("")
@@ -95,7 +95,6 @@ def _row(tally: PointTally) -> Iterator[str]:
     found = values(tally.total) | tally.machine_times
     yield _text(found["net_bits_per_second"], ".0f")
     yield "-" if found["distance_error"] is None else f"{100 * found['distance_error']:.2g} %"
-    yield f"{tally.total.covered_poses}/{tally.total.posed}" if tally.total.posed else "-"
     yield _text(found["frame_ms"], ".2g")
 
 
