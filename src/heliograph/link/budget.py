@@ -255,13 +255,15 @@ def _spot(settings: LinkSettings, light: LightSettings, all_on: float, form: For
         raise SettingsError(f"the array is {-distance_m:g} m behind the camera; raise channel.arrays.0.z_offset_m")
     pitch_px = emitter.pitch_m * camera.focal_px / distance_m
     # 6 LEDs give the brightness; above a pitch of 32 px, LEDs are separate and the brightness is constant
-    image = array_images(channel, 6, distance_m * max(1.0, pitch_px / 32.0), (0.0, 0.0))
+    image_m = distance_m * max(1.0, pitch_px / 32.0)
+    image = array_images(channel, 6, image_m, (0.0, 0.0))
     all_on *= place.brightness
     blur_px = math.sqrt(camera.blur_px**2 + (emitter.diameter_m / 4 * pitch_px / emitter.pitch_m) ** 2 + 1 / 12)
     electrons_px = all_on * image.light * channel.sensor.full_well_e
-    electrons_led = electrons_px * pitch_px**2
+    # an oblique view has a smaller area per LED
+    electrons_led = electrons_px * (image.pitch_px * image_m / distance_m) ** 2
     # on average, half of the LEDs are lit
-    electrons = settings.signal.side**2 * electrons_led * packet.settings.packet_patterns / 2
+    electrons = settings.signal.side**2 * electrons_led * packet.settings.packet_s * camera.fps / 2
     return Spot(
         distance_m=distance_m,
         pitch_px=pitch_px,
