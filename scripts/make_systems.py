@@ -7,15 +7,20 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from heliograph.experiments.plots import BLUE, GREEN, ORANGE, RED, figure_svg, legend_below, styled
+from heliograph.experiments.plots import BLUE, GRAY, GREEN, ORANGE, RED, figure_svg, legend_below, styled
 from heliograph.link.budget import RangeEstimator, budget
-from heliograph.link.settings import load_settings
+from heliograph.link.settings import LinkSettings, load_settings
+from heliograph.measure.bench import run_block
+from heliograph.measure.counts import BlockCounts
+from heliograph.signal.formats import AGREED, Mode
 from heliograph.signal.packet import PacketFormat
-from heliograph.signal.settings import LAYERS
+from heliograph.signal.settings import LAYERS, MULTIPLICITY
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 Row = dict[str, str]
+ASSUMED = "Nagura et al."  # light of the reference link
+PACKETS = 6  # single packets without inverses at each distance
 
 HEAD = """# Published systems
 
@@ -23,7 +28,7 @@ Systems of other publications beside the receiver "soft" in the reference link, 
 numbers come from a paper's text, its abstract, or a citation. Empty cells are not stated there.
 `scripts/make_systems.py` makes this page from [published-systems.csv](published-systems.csv).
 
-![Rate and photoelectrons per information bit against distance](pictures/published-systems.svg)
+![Bit rate by distance and by photoelectrons per information bit](pictures/published-systems.svg)
 
 ## Photoelectrons per information bit
 
@@ -31,16 +36,17 @@ The electrons that the light of the array frees in the sensor, over the informat
 
     e = n^2 E_led(Z) P / (2 k)
 
-with n^2 LEDs, E_led electrons per exposure of a lit LED (`heliograph budget`, column `e-/LED`), P patterns per
+with n^2 LEDs, E_led electrons per exposure of a lit LED (`heliograph budget`, column `e-/LED`), P frames per
 packet, half of the LEDs lit on average, and k information bits of the codewords that arrive. `heliograph budget`
 prints the value for k of all codewords as `e-/bit`.
 
 The bound has the mutual information of each symbol with all others, pose and blur known
-([budget](budget.md#range)), summed over the symbols, in place of k.
+([budget](budget.md#range)), summed over the symbols, in place of k: independent symbols d_i have
+I(d; r) = sum_i I(d_i; r | d_1..d_i-1) <= sum_i I(d_i; r | all others).
 
-**No abstract or text read states the light at the lens**: intensity, f-number, exposure and efficiency together.
-The value of Nagura et al. is derived with the light of the reference link, 16 kbit/s and 80 m. All others are
-marked with a dash.
+**No camera system read states the light at the lens**: intensity, f-number, exposure and efficiency together.
+The value of Nagura et al. (hollow) is derived with the light of the reference link, 16 kbit/s and 80 m. Photon counters
+state photons per bit, SPAD array and Dacha et al. detected ones. All others are marked with a dash.
 
 """
 
@@ -51,75 +57,111 @@ def read(path: Path) -> list[Row]:
         return list(csv.DictReader(file))
 
 
+SINGLE = {"mode": "single", "high": 0.9, "middle": 0.9, "low": 0.9}
+NAMES: dict[Mode, str] = {"paired": "pairs", "single": "without inverses"}
+COLOURS: dict[Mode, str] = {"paired": BLUE, "single": ORANGE}
+
+
+def link(distance_m: float, mode: Mode = "paired") -> LinkSettings:
+    """Reference link at rest: pairs at code rate 1/3, or single patterns at 9/10."""
+    formats = [SINGLE] if mode == "single" else []
+    changes = {"channel": {"distance_m": distance_m}, "transmit": {"formats": formats}}
+    return load_settings("static", {**changes, "receive": {"receiver": "soft"}})
+
+
 @cache
-def ours() -> list[tuple[float, float, float]]:
-    """Distance, information bits per second, and photoelectrons per information bit of "soft" at rest."""
-    out = []
+def electrons_per_second(distance_m: float) -> float:
+    """Photoelectrons of the array per second: half of the LEDs are lit."""
+    # the light of an LED is that of a small array, whose ranges take less time
+    small = {"signal": {"side": 4, "data_pairs": 192}, "channel": {"distance_m": distance_m}}
+    settings = link(distance_m)
+    electrons_led = budget(load_settings("static", small)).spot.electrons_led
+    return settings.signal.side**2 * electrons_led * settings.channel.camera.fps / 2
+
+
+def bits_of(settings: LinkSettings) -> dict[str, int]:
+    """Information bits of a packet by layer."""
+    form = settings.transmit.formats[0] if settings.transmit.formats else AGREED
+    return {name: one.codewords * one.code.k for name, one in PacketFormat(settings.signal, form).layers.items()}
+
+
+@cache
+def ours() -> list[tuple[Mode, float, str, float, float]]:
+    """Mode, distance, right of sent codewords, bit/s, and photoelectrons per bit of "soft" at rest."""
+    found: list[tuple[Mode, float, list[tuple[int, int]]]] = []
     for row in read(ROOT / "benchmarks" / "behaviour.csv"):
         if row["scenario"].startswith("static") and row["receiver"] == "soft":
-            distance_m = float(row["scenario"].split()[1])
-            settings = load_settings("static", {"channel": {"distance_m": distance_m}})
-            layers = PacketFormat(settings.signal).layers.values()
-            total = sum(layer.codewords * layer.code.k for layer in layers)
-            bits = sum(
-                layer.codewords * layer.code.k * int(row[f"{layer.name} right"]) / int(row[f"{layer.name} sent"])
-                for layer in layers
-            )
-            electrons_bit = budget(settings).spot.electrons_bit * total / bits
-            out.append((distance_m, bits / settings.signal.packet_s, electrons_bit))
+            counts = [(int(row[f"{name} right"]), int(row[f"{name} sent"])) for name in LAYERS]
+            found.append(("paired", float(row["scenario"].split()[1]), counts))
+    for distance_m in (40.0, 60.0, 80.0, 105.0):
+        total = sum((run_block(link(distance_m, "single"), seed) for seed in range(PACKETS)), BlockCounts())
+        counts = [(one.codewords - one.codeword_errors, one.codewords) for one in total.layers.values()]
+        found.append(("single", distance_m, counts))
+    out = []
+    for mode, distance_m, counts in found:
+        settings = link(distance_m, mode)
+        bits = sum(k * right / sent for k, (right, sent) in zip(bits_of(settings).values(), counts, strict=True))
+        rate, text = bits / settings.signal.packet_s, ", ".join(f"{right}/{sent}" for right, sent in counts)
+        out.append((mode, distance_m, text, rate, electrons_per_second(distance_m) / rate))
     return out
 
 
-def bound(distances_m: list[float]) -> tuple[list[float], list[float]]:
-    """Information in bit/s, and photoelectrons per bit, of pairs with all other symbols known."""
-    rates, electrons = [], []
-    for distance_m in distances_m:
-        settings = load_settings("static", {"channel": {"distance_m": distance_m}})
-        layers = PacketFormat(settings.signal).layers
-        estimator = RangeEstimator(settings, settings.channel.emitter.all_on)
-        bits = sum(
-            layers[name].pairs * layers[name].symbols * estimator.information("bound", "paired", name, distance_m)
-            for name in LAYERS
-        )
-        total = sum(layer.codewords * layer.code.k for layer in layers.values())
-        rates.append(bits / settings.signal.packet_s)
-        electrons.append(budget(settings).spot.electrons_bit * total / bits)
-    return rates, electrons
+@cache
+def information(mode: Mode, distance_m: float) -> float:
+    """Information in bit per pattern or pair, with all other symbols known."""
+    settings = link(distance_m)
+    estimator = RangeEstimator(settings, settings.channel.emitter.all_on)
+    parts = zip(MULTIPLICITY, LAYERS, strict=True)
+    share = sum(n * estimator.information("bound", mode, name, distance_m) for n, name in parts) / sum(MULTIPLICITY)
+    return settings.signal.side**2 * share
+
+
+def bound(mode: Mode, distances_m: list[float]) -> tuple[list[float], list[float]]:
+    """Information in bit/s, and photoelectrons per bit, with all other symbols known; all patterns carry data."""
+    period_s = link(distances_m[0]).signal.pattern_period_s * (1 if mode == "single" else 2)
+    rates = [information(mode, distance_m) / period_s for distance_m in distances_m]
+    return rates, [electrons_per_second(z) / rate for z, rate in zip(distances_m, rates, strict=True)]
 
 
 def derived(rows: list[Row]) -> dict[str, float]:
-    """Photoelectrons per bit of the published systems whose light is known."""
-    paper = next(row for row in rows if row["system"] == "Nagura et al.")
-    settings = load_settings("static", {"channel": {"distance_m": float(paper["distance_m"])}})
-    electrons_s = settings.signal.side**2 * budget(settings).spot.electrons_led / 2 / settings.signal.pattern_period_s
-    return {paper["system"]: electrons_s / float(paper["rate_bit_s"])}
+    """Photoelectrons per bit of the published systems: stated, or derived if the light is known."""
+    stated = {row["system"]: float(row["electrons_bit"]) for row in rows if row["electrons_bit"]}
+    paper = next(row for row in rows if row["system"] == ASSUMED)
+    return {ASSUMED: electrons_per_second(float(paper["distance_m"])) / float(paper["rate_bit_s"]), **stated}
 
 
 @styled
 def draw(rows: list[Row], electrons: dict[str, float]) -> Figure:
-    """Draw rate and photoelectrons per bit against distance."""
-    figure = Figure(figsize=(10, 4.6))
-    left, right = figure.subplots(1, 2)
-    distances_m, points = np.geomspace(25, 240, 14).tolist(), np.array(ours())
-    for axes, line, column in zip((left, right), bound(distances_m), (1, 2), strict=True):
-        axes.loglog(distances_m, line, color=ORANGE, label="bound of the reference link")
-        axes.loglog(points[:, 0], points[:, column], "o", color=BLUE, label='"soft", simulated')
-    kinds = {"event camera": ("D", GREEN, "event camera"), "": ("s", RED, "other cameras")}
+    """Draw bit rates by distance (left) and by photoelectrons per information bit (right)."""
+    figure = Figure(figsize=(10, 5.6))
+    left, right = figure.subplots(1, 2, sharey=True)
+    for mode, name in NAMES.items():
+        distances_m = np.geomspace(40, 220, 12).tolist()
+        rates, bound_electrons = bound(mode, distances_m)
+        points = [point for point in ours() if point[0] == mode]
+        for axes, line, column in ((left, distances_m, 1), (right, bound_electrons, 4)):
+            axes.plot(line, rates, color=COLOURS[mode], label=f"bound, {name}")
+            values = [point[column] for point in points]
+            axes.plot(
+                values, [point[3] for point in points], "o", color=COLOURS[mode], label=f'"soft", {name}, simulated'
+            )
+    kinds = {"event camera": ("D", GREEN, "event camera"), "photon counter": ("^", GRAY, "photon counter")}
     for row in rows:
-        marker, color, label = kinds.get(row["camera"], kinds[""])
-        if row["distance_m"] and row["rate_bit_s"]:
-            values = {left: float(row["rate_bit_s"])}
-            if row["system"] in electrons:
-                values[right] = electrons[row["system"]]
-            for axes, value in values.items():
-                place, name = (float(row["distance_m"]), value), row["system"].split(" (")[0]
-                axes.plot(*place, marker, color=color, label=label)
-                axes.annotate(name, place, (4, 4), textcoords="offset points", fontsize="small")
-    left.set(xlabel="distance in m", ylabel="information bit/s", xlim=(8, 1e4))
-    right.set(xlabel="distance in m", ylabel="photoelectrons per information bit")
-    right.set_xticks([25, 50, 100, 200], ["25", "50", "100", "200"])
-    right.set_xticks([], minor=True)
-    legend_below(figure)
+        marker, color, label = kinds.get(row["camera"], ("s", RED, "other cameras"))
+        places = ((left, float(row["distance_m"] or 0)), (right, electrons.get(row["system"], 0.0)))
+        for axes, x in places:
+            if x and row["rate_bit_s"]:
+                hollow = axes is right and row["system"] == ASSUMED
+                style = {"fillstyle": "none"} if hollow else {"label": label}
+                axes.plot(x, float(row["rate_bit_s"]), marker, color=color, **style)
+                side, align = (-4, "right") if x <= 50 else (4, "left")
+                place, name = (x, float(row["rate_bit_s"])), row["system"].split(" (")[0]
+                # a system at several distances has one label
+                if name not in {text.get_text() for text in axes.texts}:
+                    axes.annotate(name, place, (side, 3), textcoords="offset points", ha=align, fontsize="x-small")
+    left.set(xlabel="distance in m", ylabel="information bit/s", xscale="log", yscale="log", xlim=(0.1, 3e4))
+    right.set(xlabel="photoelectrons per information bit", xscale="log", xlim=(0.1, 1e6))
+    legend_below(figure, columns=4)
     return figure
 
 
@@ -136,9 +178,12 @@ def page(rows: list[Row], electrons: dict[str, float]) -> str:
             cells[key] = f"{float(row[key]):,.0f}" if row[key] else ""
         columns = {"m": "distance_m", "bit/s": "rate_bit_s", "e-/bit": "e"}
         lines.append(f"| {' | '.join(cells[columns.get(name, name)] for name in names)} |")
-    table = ['## Receiver "soft" at rest', "", "| m | information bit/s | e-/bit |", "|---|---|---|"]
-    table += [f"| {m:.0f} | {rate:,.0f} | {value:,.0f} |" for m, rate, value in ours()]
-    found = "Codewords right of those sent: [results](results.md#codewords-received)."
+    head = "| format | m | codewords right: high, middle, low | information bit/s | bound | e-/bit | bound |"
+    table = ['## Receiver "soft" at rest', "", head, "|---|---|---|---|---|---|---|"]
+    for mode, m, text, rate, value in ours():
+        (most,), (least,) = bound(mode, [m])
+        table.append(f"| {NAMES[mode]} | {m:.0f} | {text} | {rate:,.0f} | {most:,.0f} | {value:,.0f} | {least:,.0f} |")
+    found = "Code rate 1/3 for pairs, [results](results.md#codewords-received); 9/10 without inverses."
     return HEAD + "\n".join([*table, "", found, "", "## Table", "", *lines, ""])
 
 
