@@ -178,7 +178,8 @@ class Packet:
     orientation: Orientation = UPRIGHT
     reason: str = ""
     pose_std_px: float = math.nan
-    spatial_poses: tuple[SpatialPose, ...] = ()
+    # arrays have no equality
+    spatial_poses: tuple[SpatialPose, ...] = field(default=(), compare=False)
 
     def explain(self) -> str:
         """Explain missing codewords: return the conditions of the reception, one per line.
