@@ -154,12 +154,12 @@ def draw(rows: list[Row], electrons: dict[str, float]) -> Figure:
                 hollow = axes is right and row["system"] == ASSUMED
                 style = {"fillstyle": "none"} if hollow else {"label": label}
                 axes.plot(x, float(row["rate_bit_s"]), marker, color=color, **style)
-                side, align = (-4, "right") if x <= 50 else (4, "left")
+                side, align = (-4, "right") if x < 1 or 3 < x <= 50 else (4, "left")
                 place, name = (x, float(row["rate_bit_s"])), row["system"].split(" (")[0]
                 # a system at several distances has one label
                 if name not in {text.get_text() for text in axes.texts}:
                     axes.annotate(name, place, (side, 3), textcoords="offset points", ha=align, fontsize="x-small")
-    left.set(xlabel="distance in m", ylabel="information bit/s", xscale="log", yscale="log", xlim=(0.1, 3e4))
+    left.set(xlabel="distance in m", ylabel="information bit/s", xscale="log", yscale="log", xlim=(0.03, 3e4))
     right.set(xlabel="photoelectrons per information bit", xscale="log", xlim=(0.1, 1e6))
     legend_below(figure, columns=4)
     return figure
