@@ -1,20 +1,14 @@
-"""Coarse candidates: hidden cells, refined fits and motion; and formats signalled in header pairs."""
-
-from collections.abc import Sequence
+"""Coarse candidates: hidden cells, refined fits and motion."""
 
 import numpy as np
 import pytest
-from drawn_packets import drawn_pair
 from numpy.typing import NDArray
-from scenes import ALL_ON, SIDE, Floats, draw, frame_of, pitch_at
+from scenes import SIDE, Floats, draw, frame_of, pitch_at
 
 from heliograph.receive.detect.alternation import DETECT
 from heliograph.receive.detect.candidate import cell_weights, estimate_drift, find_lit_cells, fit_header, fit_near
-from heliograph.receive.detect.header_format import FormatReader
 from heliograph.receive.geometry.pose import Pose
-from heliograph.receive.sync.pairing import FramePair
-from heliograph.signal.formats import AGREED, ALL_MODES, SHORT_PAIRS, words
-from heliograph.signal.header import header_cells, header_levels, signalling_levels
+from heliograph.signal.header import header_cells, header_levels
 
 HEADER = header_levels(11) / 2.0 - 1.0
 POSE = Pose(40.4, 31.3, pitch_at(60.0), 0.02, 0.55)
@@ -86,70 +80,3 @@ def test_any_motion_of_a_header_is_found(distance_m: float, within: float, seed:
         frames.append(frame_of(0.1 + 0.7 * image, k, rng))
     found = np.array(estimate_drift(frames, pose, 0.5e-3, header, 1e-3)) * 1e-3
     assert found == pytest.approx(drift, abs=within)
-
-
-GAIN = 0.8 * 255
-
-
-def reader_of(
-    number: int, pairs: Sequence[int], distance_m: float, led_gains: Floats = ALL_ON, known: Floats = ALL_ON
-) -> FormatReader:
-    """Show header pairs for identity 7 to a reader; the array moves by a third of a pixel per frame."""
-    rng, reader = np.random.default_rng(number), FormatReader(7, SIDE, SHORT_PAIRS)
-    for pair in pairs:
-        levels = signalling_levels(7, number) if pair else header_levels(7)
-        x, y = 40 + rng.uniform(-0.5, 0.5, 2)
-        first = Pose(x, y, pitch_at(distance_m), 0.01, 0.52)
-        poses, lit = (first, first.moved(0.3, -0.2)), (led_gains * levels / 4, led_gains * (4 - levels) / 4)
-        reader.add_pair(pair, drawn_pair(poses, lit, rng, GAIN, (80, 80)), poses, known)
-    return reader
-
-
-@pytest.mark.parametrize("distance_m", [40.0, 120.0, 200.0])
-def test_formats_are_read(distance_m: float) -> None:
-    # at long range, unknown modes could appear from noise
-    last = len(words(ALL_MODES) if distance_m < 200 else words()) - 1
-    for number in (*range(1, last, 47), last):
-        assert reader_of(number, (0, 1), distance_m).decide_format(GAIN) == number
-
-
-def test_the_gain_decides_without_the_first_pair() -> None:
-    reader = reader_of(0o765, (1,), 120.0)
-    # with all or no cells dimmed, the gain decides
-    assert reader.decide_format(GAIN) == 0o765 != reader.decide_format(0.5 * GAIN)
-
-
-@pytest.mark.parametrize("pairs", [(), (0,)])
-def test_without_a_later_pair_the_agreed_format_is_assumed(pairs: Sequence[int]) -> None:
-    assert reader_of(0o765, pairs, 80.0).decide_format(GAIN) == AGREED.number
-
-
-@pytest.mark.parametrize(
-    ("hidden", "are_known", "distance_m"),
-    [((slice(0, 4), slice(0, 12)), True, 60.0)]
-    + [((slice(0, 16), slice(0, columns)), False, d) for columns in (3, 5, 6, 7) for d in (40.0, 80.0)],
-)
-def test_hidden_cells_are_not_read_as_dimmed(hidden: tuple[slice, slice], are_known: bool, distance_m: float) -> None:
-    """Words differ in four cells at least; occlusion may hide LED columns before LED gains are known."""
-    gains = ALL_ON.copy()
-    gains[hidden] = 0.0
-    # beyond a cell's width no other format is reliable
-    for number in (0, 0o765, 0o123) if are_known or hidden[1].stop < 4 else (0,):
-        reader = reader_of(number, (0, 1), distance_m, gains, gains if are_known else ALL_ON)
-        assert reader.decide_format(GAIN) == number
-
-
-@pytest.mark.parametrize("width", [2, 4, 8])
-@pytest.mark.parametrize("first", range(32, 48, 4))
-def test_foreground_light_signals_no_format(first: int, width: int) -> None:
-    """A bright bar moves in front of the array at 2 px per frame."""
-    reader, rng = FormatReader(7, SIDE, SHORT_PAIRS), np.random.default_rng(3)
-    pose = Pose(40.2, 39.8, pitch_at(80.0), 0.01, 0.52)
-    for pair in (0, 1):
-        frames = []
-        for k, levels in enumerate((header_levels(7), 4 - header_levels(7))):
-            light, left = 0.1 + 0.5 * draw(pose, levels / 4, (0, 0), (80, 80)), first + 2 * (2 * pair + k)
-            light[:, left : left + width] += 0.4
-            frames.append(frame_of(light, k, rng))
-        reader.add_pair(pair, FramePair(frames[0], frames[1]), (pose, pose), ALL_ON)
-    assert reader.decide_format(0.5 * 255) == AGREED.number

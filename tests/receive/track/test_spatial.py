@@ -14,7 +14,7 @@ from heliograph.receive.geometry.view import CAMERA
 from heliograph.receive.packet import SpatialPose
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.track.kalman import PoseState
-from heliograph.receive.track.spatial import MODEL_ERRORS, spatial_poses
+from heliograph.receive.track.spatial import fit_with_all_errors, spatial_poses
 from heliograph.receive.track.track import Track
 
 CALIBRATION = CalibrationSettings(focal_m=0.016, pixel_m=5e-6, pitch_m=0.03, centre_px=(640.0, 360.0))
@@ -76,7 +76,7 @@ def test_size_of_an_approaching_array_is_ahead_of_the_filter() -> None:
     state = PoseState(0.0, np.array([0, 0, 0, 0, 0, 0, 0, 1.0, 0, 0]), 1e-6 * np.eye(10))
     track = Track(state, 1.0, 1.0, np.ones((4, 4)), 0.0, np.ones((4, 4)))
     at_rest = replace(track, state=replace(state, mean=np.zeros(10)))
-    ahead = MODEL_ERRORS.fit(track, 0.1).vector - MODEL_ERRORS.fit(at_rest, 0.1).vector
+    ahead = fit_with_all_errors(track, 0.1).vector - fit_with_all_errors(at_rest, 0.1).vector
     assert ahead == pytest.approx([0, 0, 0.5 * 0.085**2, 0, 0, 0, 0])
 
 

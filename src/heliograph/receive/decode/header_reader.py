@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from heliograph.base.arrays import Floats
-from heliograph.receive.detect.header_format import FormatReader, header_score, header_weights
+from heliograph.receive.decode.header_format import FormatReader, header_score, header_weights
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.single_mode import HeaderPair
 from heliograph.receive.observe.cutout import Cutout, take_cutout

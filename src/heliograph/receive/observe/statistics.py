@@ -29,8 +29,8 @@ from heliograph.receive.sync.combine import SIGNS, Combination
 class PairStatistics:
     """Sufficient statistics of a pair for the symbols, before gain and noise are known."""
 
-    # G = B^T W B, (symbols, symbols) float32
-    gram: NDArray[np.float32]
+    # G = B^T W B, (symbols, symbols), of data float32
+    gram: NDArray[np.float32] | Floats
     # B^T W d, output of the matched filter, (symbols,) in gray levels
     matched: Floats
     # B^T W o, correlation of the offset with the symbols' images, (symbols,)

@@ -47,6 +47,17 @@ class TrackParameters:
     bright_quantile: float = 0.8
     # Maximum change of a pair relative to that quantile: bounds the time until a hidden LED is noticed
     max_change: float = 2.0
+    # Errors of the pose beyond the noise of pixels, from simulations at other seeds than those of tests:
+    # response time of the size in packets, as the headers show the size once a packet, and uncertain part
+    response_packets: float = 0.85
+    uncertain_packets: float = 0.45
+    # part of 1 - correlation^2 of the sums that equal LEDs leave
+    equal_residual: float = 6e-4
+    # errors of x and y in px, by perspective and by combined frames
+    position_error_px: float = 0.02
+    # errors of x and y in px, and of ln pitch, roll, stretch and shear, relative to the light of unequal LEDs
+    position_error: float = 0.2
+    shape_errors: tuple[float, ...] = (0.03, 0.06, 0.0, 0.025, 0.025)
 
 
 PARAMETERS = TrackParameters()

@@ -17,7 +17,6 @@ A camera out of step shows dimmed cells in some of its frames only. Then each fr
 + n with v_k from the clock and a constant background b, which cancels with the mean.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +27,7 @@ from heliograph.receive.geometry.fit import header_amplitudes
 from heliograph.receive.geometry.kernels import LEAST_VARIANCE
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, cut_out, window_around
+from heliograph.receive.observe.statistics import PairStatistics
 from heliograph.receive.sync.combine import Combination
 from heliograph.receive.sync.pairing import FramePair, MeasuredHeader
 from heliograph.signal.formats import AGREED, ALL_MODES, DIMMED, readable, words
@@ -49,51 +49,6 @@ def header_score(pair: FramePair, pose: Pose, weights: Floats, gain: float) -> f
     return float(up - down) / max(gain, TINY)
 
 
-@dataclass(frozen=True, slots=True)
-class _PairEvidence:
-    """Evidence of a header pair."""
-
-    # Contrast and light of dimmed cells
-    dimmed: tuple[float, float]
-    # gram, matched, offset: b^T B, B^T d and B^T o
-    gram: Floats
-    matched: Floats
-    offset: Floats
-    # cross, offset_power: d^T o and o^T o
-    cross: float
-    offset_power: float
-    # Power of d beyond the cells, in squared gray levels
-    unexplained: float
-    # Pixels of d
-    pixels: int
-
-    @property
-    def distance(self) -> float:
-        """Largest change of power by a dimmed cell, in units of g^2."""
-        contrast, light = self.dimmed
-        return ((1 - contrast) ** 2 + light**2) * float(self.gram.diagonal().max())
-
-    def compute_moments(self, cells: Floats, brightness: Floats) -> Floats:
-        """Compute <d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) are +-1."""
-        contrast, light = self.dimmed
-        # v = a + W b, W being the words
-        a, b, word = cells * brightness, ((contrast - 1) * cells + light) * brightness, _words()
-        match = a @ self.matched + self.cross + word @ (b * self.matched)
-        linear = word @ (2 * b * (self.gram @ a + self.offset))
-        squares = np.einsum("fi,fi->f", word @ (b[:, None] * self.gram * b), word)
-        return np.stack([match, (a @ (self.gram @ a + 2 * self.offset) + self.offset_power) + linear + squares])
-
-    def estimate_brightness(self, cells: Floats, gain: float) -> Floats:
-        """Estimate the brightness (16,) of each cell, 0 or more, from a pair with no dimmed cells."""
-        if gain <= 0:
-            return np.ones(CELL_COUNT)
-        # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / 0.3^2, C = diag(cells); cells may be partly hidden
-        noise = max(self.unexplained / max(self.pixels - CELL_COUNT, 1), LEAST_VARIANCE)
-        prior = noise / (0.3 * gain) ** 2
-        matrix = cells[:, None] * self.gram * cells + prior * np.eye(CELL_COUNT)
-        return np.maximum(np.linalg.solve(matrix, cells * (self.matched / gain - self.offset) + prior), 0.0)
-
-
 @lru_cache(maxsize=1)
 def _words() -> Floats:
     """Return the words of all formats as floating-point numbers, (2048, 16)."""
@@ -107,7 +62,8 @@ class FormatReader:
         self._side, self._readable = side, readable(data_pairs)
         self._cells = header_cells(identity).reshape(CELL_COUNT).astype(np.float64)
         self._first: tuple[FramePair, tuple[Pose, Pose]] | None = None
-        self._evidence: dict[int, _PairEvidence] = {}
+        # statistics of the pairs for the light of the cells
+        self._pairs: dict[int, PairStatistics] = {}
         # moments of each format and distance of the frames of a header out of step
         self._frames: tuple[Floats, float] | None = None
 
@@ -116,10 +72,10 @@ class FormatReader:
         if number == 0:
             self._first = pair, poses
             return
-        self._evidence[number] = self._pair_evidence(DIMMED, pair, poses, led_gains)
+        self._pairs[number] = self._measure(pair, poses, led_gains)
         if self._first is not None:
             # the gains of LEDs have improved
-            self._evidence[0] = self._pair_evidence(1.0, *self._first, led_gains)
+            self._pairs[0] = self._measure(*self._first, led_gains)
 
     def add_frames(self, header: MeasuredHeader, led_gains: Floats) -> None:
         """Replace the pairs by the frames of a header out of step: any of them may show dimmed cells."""
@@ -142,16 +98,22 @@ class FormatReader:
             (match, norm), distance = self._frames
             # the background is unknown
             unexplained = 0.0
-        elif not self._evidence:
+        elif not self._pairs:
             return AGREED.number
         else:
-            evidences, first = self._evidence.values(), self._evidence.get(0)
-            brightness = np.ones(CELL_COUNT) if first is None else first.estimate_brightness(self._cells, gain)
-            match, norm = np.sum([evidence.compute_moments(self._cells, brightness) for evidence in evidences], axis=0)
-            distance = sum(evidence.distance for evidence in evidences)
-            unexplained = sum(evidence.unexplained for evidence in evidences)
+            brightness = _brightness(self._pairs[0], self._cells, gain) if 0 in self._pairs else np.ones(CELL_COUNT)
+            dimmed = {number: _dimmed(number, pair) for number, pair in self._pairs.items()}
+            match, norm = np.sum(
+                [_moments(pair, dimmed[k], self._cells, brightness) for k, pair in self._pairs.items()], axis=0
+            )
+            # largest change of power by a dimmed cell, in units of g^2
+            distance = sum(
+                ((1 - contrast) ** 2 + light**2) * float(self._pairs[k].gram.diagonal().max())
+                for k, (contrast, light) in dimmed.items()
+            )
+            unexplained = sum(map(_unexplained, self._pairs.values()))
         # the best gain of each format: g = <d, B v + o> / |B v + o|^2
-        g = np.maximum(match, 0) / np.maximum(norm, TINY) if self._frames or 0 in self._evidence else gain
+        g = np.maximum(match, 0) / np.maximum(norm, TINY) if self._frames or 0 in self._pairs else gain
         explained = 2 * g * match - g**2 * norm
         # another format than the agreed format needs a surplus. Two words of the Reed-Muller code RM(2, 4) differ in 4
         # cells, which may be hidden: a quarter of the distance is halfway. A bar in motion resembles dimmed cells too
@@ -161,16 +123,43 @@ class FormatReader:
         explained[~self._readable] -= margin
         return int(np.argmax(explained))
 
-    def _pair_evidence(
-        self, contrast: float, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats
-    ) -> _PairEvidence:
-        """Return the evidence of a pair; dimmed cells have a contrast in step."""
+    def _measure(self, pair: FramePair, poses: tuple[Pose, Pose], led_gains: Floats) -> PairStatistics:
+        """Measure the statistics of a pair for the light of the cells, with equal weights of all pixels."""
         window = window_around(Pose.midway(*poses), self._side, RIM_PX)
         up, down = (cut_out(frame, window).ravel() for frame in (pair.pattern, pair.inverted))
         first, second = (cell_images(led_gains, pose, window[:2], window[:1:-1]) for pose in poses)
         b, o, d = 0.5 * (first + second), 0.5 * (first - second).sum(0), up - down
-        dimmed = pair.combination.dimmed if pair.combination else (contrast, 0.0)
-        gram, matched = b @ b.T, b @ d
-        # |d|^2 less the power in the cells' span, which holds for hidden cells too
-        unexplained = max(float(d @ d - matched @ np.linalg.lstsq(gram, matched, rcond=None)[0]), 0.0)
-        return _PairEvidence(dimmed, gram, matched, b @ o, float(d @ o), float(o @ o), unexplained, d.size)
+        powers = float(d @ o), float(o @ o), float(d @ d), d.size
+        return PairStatistics(b @ b.T, b @ d, b @ o, *powers, pair.combination)
+
+
+def _dimmed(number: int, pair: PairStatistics) -> tuple[float, float]:
+    """Return contrast and light of dimmed cells; the first pair in step has none."""
+    return pair.combination.dimmed if pair.combination else (DIMMED if number else 1.0, 0.0)
+
+
+def _unexplained(pair: PairStatistics) -> float:
+    """Return the power of d beyond the cells' span, which holds for hidden cells too."""
+    return max(pair.power - float(pair.matched @ np.linalg.lstsq(pair.gram, pair.matched, rcond=None)[0]), 0.0)
+
+
+def _moments(pair: PairStatistics, dimmed: tuple[float, float], cells: Floats, brightness: Floats) -> Floats:
+    """Compute <d, B v + o> and |B v + o|^2 of each format, (2, formats); `cells` (16,) are +-1."""
+    contrast, light = dimmed
+    # v = a + W b, W being the words
+    a, b, word = cells * brightness, ((contrast - 1) * cells + light) * brightness, _words()
+    match = a @ pair.matched + pair.cross + word @ (b * pair.matched)
+    linear = word @ (2 * b * (pair.gram @ a + pair.offset))
+    squares = np.einsum("fi,fi->f", word @ (b[:, None] * pair.gram * b), word)
+    return np.stack([match, (a @ (pair.gram @ a + 2 * pair.offset) + pair.offset_power) + linear + squares])
+
+
+def _brightness(pair: PairStatistics, cells: Floats, gain: float) -> Floats:
+    """Estimate the brightness (16,) of each cell, 0 or more, from a pair with no dimmed cells."""
+    if gain <= 0:
+        return np.ones(CELL_COUNT)
+    # h = argmin |d - g (B C h + o)|^2 / s^2 + |h - 1|^2 / 0.3^2, C = diag(cells); cells may be partly hidden
+    noise = max(_unexplained(pair) / max(pair.pixels - CELL_COUNT, 1), LEAST_VARIANCE)
+    prior = noise / (0.3 * gain) ** 2
+    matrix = cells[:, None] * pair.gram * cells + prior * np.eye(CELL_COUNT)
+    return np.maximum(np.linalg.solve(matrix, cells * (pair.matched / gain - pair.offset) + prior), 0.0)
