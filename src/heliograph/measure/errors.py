@@ -239,10 +239,11 @@ class ErrorCounter:
     def _covered(self, array: int, packet: Packet) -> tuple[bool, bool] | None:
         """Compare the poses in space with the truth; of several poses, one must be right."""
         times = [time_s for time_s, _ in self._recent]
-        if not (packet.has_codeword and packet.spatial_poses and times):
+        poses = packet.spatial_poses if packet.has_codeword and times else ()
+        if not poses:
             return None
         # between two frames
-        time_s = self._true_time(packet.spatial_poses[0].time_s)
+        time_s = self._true_time(poses[0].time_s)
         later = min(max(bisect_left(times, time_s), 1), len(times) - 1)
         (before_s, before), (after_s, after) = self._recent[max(later - 1, 0)], self._recent[later]
         part = (time_s - before_s) / (after_s - before_s) if after_s > before_s else 0.0
@@ -257,7 +258,7 @@ class ErrorCounter:
                 error[:size] @ np.linalg.solve(pose.covariance[:size, :size], error[:size]) < chdtri(size, 0.05)
                 for size in (3, 6)
             ]
-            for pose in packet.spatial_poses
+            for pose in poses
             for turn in [true * Rotation.from_rotvec(pose.rotation_rad).inv()]
             for error in [np.append(centre - pose.translation_m, turn.as_rotvec())]
         ]

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from heliograph.receive.geometry.view import CAMERA, View
 from heliograph.receive.packet import MIN_HEADER_SCORE, MIN_PAIRS_SEEN, Packet
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.pairing import DuePair, FramePair, MeasuredHeader, Pairing
-from heliograph.receive.track.spatial import spatial_poses
+from heliograph.receive.track.spatial import fit_with_all_errors, spatial_poses
 from heliograph.receive.track.track import TrackedPair, check_pose
 from heliograph.receive.track.tracker import Tracker
 from heliograph.signal.header import header_levels
@@ -265,6 +266,7 @@ class ArrayReceiver:
         track = self._tracked[len(self._tracked) // 2].track
         state = track.state
         pose, variance = self._view.pose_out(state.pose), state.covariance
+        image = self._view.map_fit(fit_with_all_errors(track, self._signal.packet_s), inverse=True)
         return Packet(
             identity=self.identity,
             status="crc_fail",
@@ -279,7 +281,7 @@ class ArrayReceiver:
             layers={},
             orientation=self.orientation,
             pose_std_px=2**self._view.level * math.sqrt(0.5 * (variance[0, 0] + variance[1, 1])),
-            spatial_poses=spatial_poses(track, self._view, self._signal.packet_s, self._calibration),
+            compute_poses=partial(spatial_poses, state.time_s, image, self._calibration),
         )
 
     @property

@@ -1,7 +1,7 @@
 """Received packets as values, with outcome and margins."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
@@ -158,9 +158,8 @@ class Packet:
     pose_std_px
         Standard deviation of the tracked position in px, by the tracker's own covariance in the packet's middle; NaN if
         the receiver has none.
-    spatial_poses
-        The two poses in space that fit the image, equally probable: of opposite tilt, so that the sign of the yaw stays
-        open. Each with the covariance if it is the true one. Empty if the receiver states none.
+    compute_poses
+        Function that computes `spatial_poses`.
     """
 
     identity: int
@@ -178,8 +177,8 @@ class Packet:
     orientation: Orientation = UPRIGHT
     reason: str = ""
     pose_std_px: float = math.nan
-    # arrays have no equality
-    spatial_poses: tuple[SpatialPose, ...] = field(default=(), compare=False)
+    # functions of equal results differ
+    compute_poses: Callable[[], tuple[SpatialPose, ...]] = field(default=tuple, compare=False, repr=False)
 
     def explain(self) -> str:
         """Explain missing codewords: return the conditions of the reception, one per line.
@@ -204,6 +203,15 @@ class Packet:
                 best = max(word.information for word in failed)
                 lines[-1] += f"; the others have at most {best:.2f} bit per coded bit, the code needs about {least:.2f}"
         return "\n".join(lines)
+
+    @property
+    def spatial_poses(self) -> tuple[SpatialPose, ...]:
+        """The two poses in space that fit the image, computed at each call; empty if the receiver states none.
+
+        Both are equally probable, of opposite tilt, so that the sign of the yaw stays open. Each has the covariance if
+        it is the true one.
+        """
+        return self.compute_poses()
 
     @property
     def has_codeword(self) -> bool:

@@ -10,7 +10,6 @@ from scipy.special import chdtri
 from heliograph.link.settings import load_settings
 from heliograph.measure.bench import run_block
 from heliograph.receive.geometry.pose import pose_of_axes
-from heliograph.receive.geometry.view import CAMERA
 from heliograph.receive.packet import SpatialPose
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.track.kalman import PoseState
@@ -34,7 +33,8 @@ def poses_of(vector: np.ndarray, covariance: np.ndarray) -> tuple[SpatialPose, S
     state = PoseState(0.5, np.append(vector[:5], np.zeros(5)), np.zeros((10, 10)), vector[5:], covariance[5:, 5:])
     state.covariance[:5, :5] = covariance[:5, :5]
     ones = np.ones((16, 16))
-    return spatial_poses(Track(state, 200.0, 200.0, ones, 0.5, ones), CAMERA, 0.112, CALIBRATION)
+    fit = fit_with_all_errors(Track(state, 200.0, 200.0, ones, 0.5, ones), 0.112)
+    return spatial_poses(state.time_s, fit, CALIBRATION)
 
 
 def errors_of(pose: SpatialPose, turn: Rotation) -> np.ndarray:

@@ -9,24 +9,19 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.geometry.fit import Fit
 from heliograph.receive.geometry.pose import pose_of_axes
-from heliograph.receive.geometry.view import View
 from heliograph.receive.packet import SpatialPose
 from heliograph.receive.settings import CalibrationSettings
 from heliograph.receive.track.kalman import POSE_SIZE
 from heliograph.receive.track.track import PARAMETERS, Track
 
 
-def spatial_poses(
-    track: Track, view: View, packet_s: float, calibration: CalibrationSettings
-) -> tuple[SpatialPose, SpatialPose]:
-    """Compute the two poses of a tracked array; both are equally probable."""
-    fit = view.map_fit(fit_with_all_errors(track, packet_s), inverse=True)
+def spatial_poses(time_s: float, fit: Fit, calibration: CalibrationSettings) -> tuple[SpatialPose, SpatialPose]:
+    """Compute the two poses of an image on the sensor; both are equally probable."""
     focal_px, errors = calibration.focal_m / calibration.pixel_m, fit.covariance
     ray = np.append((fit.vector[:2] - calibration.centre_px) / focal_px, 1.0)
     forward = ray / np.linalg.norm(ray)
@@ -54,17 +49,17 @@ def spatial_poses(
         )
         mean = turns.mean(weights)
         apart = np.hstack([np.outer(depths - depth, ray), (turns * mean.inv()).as_rotvec()])
-        return SpatialPose(
-            track.state.time_s, depth * ray, mean.as_rotvec(), apart.T @ (weights[:, None] * apart) + common
-        )
+        covariance = apart.T @ (weights[:, None] * apart) + common
+        return SpatialPose(time_s, depth * ray, mean.as_rotvec(), covariance)
 
     return solution(tilts), solution(-tilts)
 
 
 def fit_with_all_errors(track: Track, packet_s: float) -> Fit:
     """Return the tracked pose and the tilt, with the errors of the model."""
-    state, pose = track.state, track.state.pose
-    covariance = block_diag(state.covariance[:POSE_SIZE, :POSE_SIZE], state.tilt_covariance)
+    state, pose, covariance = track.state, track.state.pose, np.zeros((7, 7))
+    covariance[:POSE_SIZE, :POSE_SIZE] = state.covariance[:POSE_SIZE, :POSE_SIZE]
+    covariance[POSE_SIZE:, POSE_SIZE:] = state.tilt_covariance
     unequal = np.sqrt(max(1 - track.score**2 - PARAMETERS.equal_residual, 0.0))
     # resolved LEDs show the light of each
     resolution = pose.pitch * (1 + 0.36 * (pose.pitch / pose.blur) ** 2)
