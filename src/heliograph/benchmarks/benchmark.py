@@ -15,7 +15,7 @@ from heliograph.benchmarks.figure import draw
 from heliograph.benchmarks.scenarios import VERSION, choose_scenarios
 from heliograph.experiments.plots import figure_svg
 from heliograph.measure.statistics import Clustered, range_m
-from heliograph.receive.registry import RECEIVERS
+from heliograph.receive.registry import RECEIVERS, is_bound
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.metrics import PROCESSING
 from heliograph.sweeps.plan import merge_changes, plan
@@ -46,7 +46,7 @@ def benchmark(
     Parameters
     ----------
     receivers
-        Names of receivers; by default all for arrays, those of `register_receiver` included.
+        Names of receivers; by default all for arrays, those of `register_receiver` included, without bounds.
     scenarios
         Names of scenarios, or of the sets "small" and "full".
     codewords
@@ -94,7 +94,8 @@ def plan_benchmark(
 ) -> list[PointTally]:
     """Return a tally for each scenario and receiver."""
     chosen = choose_scenarios(scenarios)
-    names = [name for name in RECEIVERS.names() if name != "screen"] if receivers is None else receivers
+    competitors = (name for name in RECEIVERS.names() if name != "screen" and not is_bound(name))
+    names = competitors if receivers is None else receivers
     if not isinstance(names, str):
         names = [RECEIVERS.check(name) for name in names]
     # a mistake in the names creates no file

@@ -6,8 +6,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from heliograph.experiments.plots import legend_below, styled
+from heliograph.receive.registry import is_bound
 from heliograph.signal.settings import LAYERS
 from heliograph.sweeps.tally import PointTally
+
+
+def label_of(receiver: str) -> str:
+    """Return the name of a receiver, marked if it is a bound."""
+    return f"{receiver} (bound)" if is_bound(receiver) else receiver
 
 
 @styled
@@ -26,7 +32,8 @@ def draw(tallies: Sequence[PointTally]) -> Figure:
             row, rate, low, high = np.array([(k, c.rate, *c.interval()) for k, c in counted]).reshape(-1, 4).T
             offset = 0.7 * ((number + 0.5) / len(receivers) - 0.5)
             marker = "osD^vP*X"[number % 8]
-            axes.errorbar(rate, row + offset, xerr=(rate - low, high - rate), fmt=marker, label=receiver)
+            style = {"fmt": marker, "fillstyle": "none" if is_bound(receiver) else "full"}
+            axes.errorbar(rate, row + offset, xerr=(rate - low, high - rate), label=label_of(receiver), **style)
         axes.set(xlim=(-0.03, 1.03), xlabel="codeword error rate", title=f"{layer} layer")
         axes.set_yticks(range(len(scenarios)), scenarios)
     axes.invert_yaxis()

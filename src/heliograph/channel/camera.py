@@ -65,7 +65,7 @@ def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
     total = frame_count(settings)
     full = np.empty((camera.height, camera.width), np.float32)
     transfer, still = Transfer(camera, scene.seed), StillLight(scene)
-    weather = settings.weather
+    weather, faults = settings.weather, tuple(lighting.faults for lighting in scene.lightings)
     windscreen = Windscreen(settings, scene.seed) if weather.rain_mm_h and weather.windscreen_m else None
     veil = glare(settings) if weather.glare else None
     for first in range(0, total, 64):  # poses are computed in blocks
@@ -90,7 +90,7 @@ def _shoot(scene: FilmScene, roi: int | None) -> Iterator[tuple[Frame, Truth]]:
             stamp_s = camera.start_s + index / camera.fps + float(block.late_s[k])
             delivered = transfer(Frame(index, stamp_s, pixels, settings.sensor.bits, (x, y)))
             if delivered is not None:
-                yield delivered, Truth(delivered.index, float(block.times_s[k, 0]), truths, noise)
+                yield delivered, Truth(delivered.index, float(block.times_s[k, 0]), truths, noise, faults)
 
 
 class Transfer:

@@ -1,11 +1,13 @@
 """Truth of a film for error counts; inaccessible to the receiver."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.channel.settings import SensorSettings
+from heliograph.channel.exposure import Faults
+from heliograph.channel.settings import ChannelSettings, SensorSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +44,9 @@ class ArrayTruth:
     visible: bool
     # Numbers of the patterns during the exposure in temporal order
     patterns: tuple[int, ...]
+    # (3,) position of the camera in the axes of the array in m, and (3, 3) change of the homography per s
+    eye: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    drift: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,3 +60,16 @@ class Truth:
     # Truth of each array, in the order of ``channel.arrays``
     arrays: tuple[ArrayTruth, ...]
     noise: NoiseModel
+    # Light of the LEDs of each array
+    faults: tuple[Faults, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class KnownChannel:
+    """True channel of a film in simulation, without the data, for receivers that are bounds."""
+
+    settings: ChannelSettings
+    # Identity of each array
+    identities: Sequence[int]
+    # Returns the truth of the latest frame
+    latest: Callable[[], Truth]

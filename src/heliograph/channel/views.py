@@ -89,7 +89,8 @@ class ArrayView:
         plane = self.homography[k]
         (x, y), depth_m = (plane[:2, 2] / plane[2, 2]).tolist(), float(plane[2, 2])
         visible, patterns = bool(self.ahead[k] and self.inside[k]), lit.patterns if lit else ()
-        return ArrayTruth(x, y, float(self.pitch_px[k]), float(self.roll_rad[k]), plane, depth_m, visible, patterns)
+        place = x, y, float(self.pitch_px[k]), float(self.roll_rad[k]), plane, depth_m
+        return ArrayTruth(*place, visible, patterns, self.eye[k], self.drift[k])
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import typer
 from heliograph import __version__
 from heliograph.base.workers import limit_threads
 from heliograph.benchmarks.benchmark import count_benchmark, plan_benchmark, ranges, split, static_points
+from heliograph.benchmarks.figure import label_of
 from heliograph.benchmarks.scenarios import VERSION, choose_scenarios
 from heliograph.cli import console, options
 from heliograph.cli.options import option
@@ -39,7 +40,7 @@ def benchmark(
         ),
     ] = None,
     receiver: list[str] | None = option(
-        "Receiver to compare; may be repeated. Default: all for arrays, with those of --load.",
+        "Receiver to compare; may be repeated. Default: all for arrays, with those of --load, without bounds.",
         "NAME",
         autocompletion=options.complete_receiver,
     ),
@@ -88,8 +89,13 @@ def _show(metrics: bool, tallies: Sequence[PointTally]) -> None:
     console.say(f"benchmark {VERSION}, {split(tallies)} split, heliograph {__version__}")
 
 
+def _names(tally: PointTally) -> Iterator[str]:
+    yield str(tally.point.choice["scenario"])
+    yield label_of(str(tally.point.choice["receiver"]))
+
+
 def _row(tally: PointTally) -> Iterator[str]:
-    yield from map(str, tally.point.choice.values())
+    yield from _names(tally)
     yield from ("-" if tally.refusal else _count_text(layer.words) for layer in tally.total.layers.values())
     yield "-" if tally.refusal else f"{tally.total.detected}/{tally.total.packets}"
     found = values(tally.total) | tally.machine_times
@@ -100,7 +106,7 @@ def _row(tally: PointTally) -> Iterator[str]:
 
 def _metrics_row(tally: PointTally) -> Iterator[str]:
     found = values(tally.total) | tally.machine_times
-    yield from map(str, tally.point.choice.values())
+    yield from _names(tally)
     yield _text(found["goodput_bits_per_second"], ".0f")
     yield f"{found['acquired']}/{found['arrays']}" if found["arrays"] else "-"
     yield _text(found["acquisition_median_s"], ".3f")
@@ -118,7 +124,7 @@ def _range_rows(static: Sequence[PointTally]) -> Iterator[list[str]]:
     found = {key: [_metres(end, nearest, farthest) for end in ends] for key, ends in ranges(static).items()}
     for receiver in dict.fromkeys(receiver for receiver, _ in found):
         ends = [found[receiver, layer] for layer in LAYERS]
-        yield [receiver, *("-" if at == "-" else f"{at} m ({low} to {high})" for at, low, high in ends)]
+        yield [label_of(receiver), *("-" if at == "-" else f"{at} m ({low} to {high})" for at, low, high in ends)]
 
 
 def _metres(value: float, nearest: float, farthest: float) -> str:

@@ -30,7 +30,7 @@ def run_block(
     settings = dithered(block_settings(settings, max_packets), seed)
     film = LiveFilm(settings, random_messages(settings, seed), seed, recordings, window_margin_px(settings))
     reception = ReceptionCounter(film)
-    deque(receive_and_count(film, settings.signal, settings, reception), maxlen=0)
+    deque(receive_and_count(film, settings.signal, settings, reception, truth=film.known_channel()), maxlen=0)
     return _counts(reception, settings)
 
 

@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 
 from heliograph.base.frames import Frame
-from heliograph.channel.truth import Truth
+from heliograph.channel.truth import KnownChannel, Truth
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import Recordings, simulate
 from heliograph.link.truth import FrameTruth
@@ -33,17 +33,23 @@ class LiveFilm:
         # blocks of small windows save 15 % of the time by better cache use
         self._ahead = 1 if margin_px is None else 64
         self._truths: deque[FrameTruth] = deque()
+        self._latest: Truth
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames; the truth of a frame is available before the frame."""
         while rendered := list(islice(self._rendered, self._ahead)):
             self._truths.extend(_frame_truth(truth) for _, truth in rendered)
-            yield from (frame for frame, _ in rendered)
+            for frame, self._latest in rendered:
+                yield frame
 
     def frames(self) -> Iterator[FrameTruth]:
         """Yield the truth of each frame in temporal order."""
         while True:
             yield self._truths.popleft()
+
+    def known_channel(self) -> KnownChannel:
+        """Return the true channel, for receivers that are bounds."""
+        return KnownChannel(self.settings.channel, self.settings.transmit.identities, lambda: self._latest)
 
 
 def _frame_truth(truth: Truth) -> FrameTruth:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from heliograph.base.errors import SettingsError, shown
 from heliograph.base.frames import Frame
+from heliograph.channel.truth import KnownChannel
 from heliograph.link.film import FrameProgress, FrameSource, is_packet, read_packets, silent
 from heliograph.link.settings import LinkSettings, load_settings, preset
 from heliograph.link.truth import FrameTruth, signal_of
@@ -176,8 +177,9 @@ def receive_and_count(
     reception: ReceptionCounter,
     observe: AnyObserver | None = None,
     progress: FrameProgress = silent,
+    truth: KnownChannel | None = None,
 ) -> Iterator[tuple[Packet, list[Message]]]:
-    """Receive a film; yield each packet with the completed messages, and count both."""
+    """Receive a film; yield each packet with the completed messages, and count both. Only bounds get the truth."""
 
     def count_event(event: Any) -> None:
         if isinstance(event, DetectEvent):
@@ -198,7 +200,7 @@ def receive_and_count(
                 yield frame
                 progress(reception.frames)
 
-    receiver = TimedReceiver(make_receiver(signal, settings.receive, count_event), reception)
+    receiver = TimedReceiver(make_receiver(signal, settings.receive, count_event, truth), reception)
     for packet in read_packets(CountedFilm(), signal, receiver):
         yield packet, list(reception.add(packet))
 

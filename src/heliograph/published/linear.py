@@ -26,7 +26,7 @@ def zero_forcing_receiver(signal: SignalSettings, settings: ReceiveSettings, obs
         x = (A^T A)^-1 A^T r
 
     removes the interference of all LEDs and amplifies the noise where LEDs are closer than pixels. A follows from the
-    estimated pose and blur; publications assume that A is known. `experiments.systems` reads with the true A.
+    estimated pose and blur; publications assume that A is known, as for "genie-zero-forcing".
     """
     return plain_receiver(signal, settings, observe, partial(unblurred, side=signal.side, loading=LOADING))
 

@@ -7,7 +7,7 @@ from heliograph.base.config import from_mapping
 from heliograph.base.errors import HeliographError, SettingsError, shown
 from heliograph.base.frames import Frame
 from heliograph.receive.packet import Packet, Receiver
-from heliograph.receive.registry import GROUPS, RECEIVERS, ReceiverPart, part_of
+from heliograph.receive.registry import GROUPS, RECEIVERS, ReceiverPart, is_bound, part_of
 from heliograph.receive.settings import ReceiveSettings
 from heliograph.receive.sync.frame_clock import STEP_TOLERANCE
 from heliograph.signal.settings import SignalSettings, check_signal
@@ -98,7 +98,10 @@ def own_settings(settings: ReceiveSettings) -> Any:
 
 
 def make_receiver(
-    signal: SignalSettings, settings: ReceiveSettings | None = None, observe: AnyObserver | None = None
+    signal: SignalSettings,
+    settings: ReceiveSettings | None = None,
+    observe: AnyObserver | None = None,
+    truth: object = None,
 ) -> Receiver:
     """Make the receiver that the settings name.
 
@@ -113,11 +116,15 @@ def make_receiver(
         Settings of the receiver; None for "plain" with all defaults.
     observe
         Observer of the events, see `heliograph.receive.events`; None for no observer.
+    truth
+        True channel of a simulation, for the receivers "genie-zero-forcing" and "genie-mmse" alone: no other receiver
+        gets it.
 
     Raises
     ------
     SettingsError
-        The receiver is unknown, or cannot read this signal; or an argument is no settings or observer.
+        The receiver is unknown, or cannot read this signal; an argument is no settings or observer; or the truth is
+        missing.
     """
     check_signal(signal)
     settings = ReceiveSettings() if settings is None else settings
@@ -125,7 +132,15 @@ def make_receiver(
     observe = (lambda _: None) if observe is None else observe
     if not callable(observe):
         raise SettingsError(f"an observer is a function that takes an event, not {shown(observe)}")
-    return part_of(settings.receiver).make(signal, settings, observe)
+    name = settings.receiver
+    if not is_bound(name):
+        return part_of(name).make(signal, settings, observe)
+    if truth is None:
+        raise SettingsError(
+            f"the receiver {name} needs the true channel of a simulation, which a film lacks: compare it by "
+            f"'heliograph benchmark --receiver {name}', or choose another receiver"
+        )
+    return part_of(name).make(signal, settings, observe, truth)
 
 
 def receive_frames(

@@ -19,11 +19,15 @@ class ReceiverPart(NamedTuple):
         Frozen dataclass of the settings in ``receive.custom``; None without settings.
     reads
         Other groups of ``receive`` that the receiver reads, of `GROUPS`.
+    needs_truth
+        True for a bound of this package: a fourth argument of `make` is the true channel of a simulation. No other
+        receiver gets the truth.
     """
 
     make: Callable[..., Any]
     settings: type | None = None
     reads: tuple[str, ...] = ()
+    needs_truth: bool = False
 
 
 RECEIVERS: Registry[Any] = Registry(
@@ -37,6 +41,8 @@ RECEIVERS: Registry[Any] = Registry(
         "kasashima": "heliograph.published.kasashima:kasashima_receiver",
         "zero-forcing": "heliograph.published.linear:zero_forcing_receiver",
         "mmse": "heliograph.published.linear:mmse_receiver",
+        "genie-zero-forcing": "heliograph.published.genie:ZERO_FORCING",
+        "genie-mmse": "heliograph.published.genie:MMSE",
         "svm": "heliograph.published.learned:svm_receiver",
         "mlp": "heliograph.published.learned:mlp_receiver",
         "oversampling": "heliograph.published.oversampling:OversamplingReceiver",
@@ -49,3 +55,8 @@ def part_of(name: str) -> ReceiverPart:
     """Return the receiver of a name; raise a SettingsError if the name is unknown."""
     entry = RECEIVERS[name]
     return entry if isinstance(entry, ReceiverPart) else ReceiverPart(entry)
+
+
+def is_bound(name: str) -> bool:
+    """Return True for a bound, a receiver of this package that gets the true channel."""
+    return name in RECEIVERS.built_in and part_of(name).needs_truth

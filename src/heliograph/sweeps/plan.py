@@ -16,7 +16,7 @@ from heliograph.base.toml_text import parse_assignment, parse_value
 from heliograph.link.settings import LinkSettings, load_settings
 from heliograph.link.simulate import load_footage, load_imu, transmitters
 from heliograph.receive.detect.alternation import size_limits
-from heliograph.receive.registry import RECEIVERS
+from heliograph.receive.registry import RECEIVERS, is_bound
 from heliograph.sweeps.points import Point, Recorded
 
 MAX_VALUES = 10_000  # maximum number of values of a key, and of points in a grid
@@ -168,7 +168,7 @@ def size_warning(points: Sequence[Point]) -> str:
 def _size_conflict(settings: LinkSettings) -> str:
     """Return the image side of an array outside the size range of the receiver, or an empty text."""
     receive, channel = settings.receive, settings.channel
-    if receive.receiver not in RECEIVERS.built_in:
+    if receive.receiver not in RECEIVERS.built_in or is_bound(receive.receiver):
         return ""
     smallest, largest = receive.smallest_side_px, receive.detect.max_side_px
     lowest, highest = size_limits(smallest, largest)

@@ -9,7 +9,7 @@ from heliograph.link.settings import PRESETS
 from heliograph.media.live.camera import list_cameras
 from heliograph.media.live.reader import is_camera
 from heliograph.media.live.settings import camera_settings
-from heliograph.receive.registry import RECEIVERS
+from heliograph.receive.registry import RECEIVERS, is_bound
 from heliograph.web.connection import closing, taking_place
 from heliograph.web.crashes import in_thread
 from heliograph.web.recorded_drive import RECORDED_DRIVE
@@ -26,7 +26,8 @@ async def sources(shared: SharedState) -> dict[str, Any]:
     names = [film if is_camera(film) else shown_name(film) for film in shared.films]
     presets = [{"name": name, "text": text} for name, (text, _) in PRESETS.items()]
     recorded = shared.films == (str(RECORDED_DRIVE),)
-    return {"named": names, "recorded": recorded, "presets": presets, "receivers": list(RECEIVERS.names())}
+    receivers = [name for name in RECEIVERS.names() if not is_bound(name)]
+    return {"named": names, "recorded": recorded, "presets": presets, "receivers": receivers}
 
 
 @router.get("/cameras")

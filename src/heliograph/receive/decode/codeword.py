@@ -49,6 +49,13 @@ def decode_packet(
     """Decode all layers of a packet."""
     soft = form.split(form.soft_data(luminances))
     llrs = np.concatenate([soft_to_llr(values, seen) for values in soft.values()], axis=1)
+    return decode_llrs(llrs, form, identity, options)
+
+
+def decode_llrs(
+    llrs: Floats, form: PacketFormat, identity: int, options: Decoding = Decoding()
+) -> dict[str, tuple[Codeword, ...]]:
+    """Decode all layers of a packet by LLRs of the symbols, (pairs, n n)."""
     high = form.layers["high"]
     bits = SymbolMapper(form).bits(llrs, [np.zeros((high.pairs, high.symbols))])
     received = {name: layer.deinterleave(part) for (name, layer), part in zip(form.layers.items(), bits, strict=True)}
