@@ -1,8 +1,10 @@
 """`heliograph measure` and `heliograph dataset`: counts, sizes, and errors for invalid arguments."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
 from cli_runs import SMALL, Call, failed, names, succeeded
 
@@ -51,6 +53,31 @@ def test_tables_are_markdown(lines: Lines) -> None:
     losses = lines("timing-loss")
     assert losses[0].startswith("| rate | exposure | phase |")
     assert len(losses) > 50
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(getattr(cv2, "aruco", None), "ArucoDetector"), reason="OpenCV before 4.7")
+def test_ranging_counts_films_by_method(call: Call, lines: Lines) -> None:
+    arguments = ("ranging", "--at", "30", "--films", "2", "--first", "4001", "--workers", "1")
+    with one_thread():
+        head, *rows = lines(*arguments)
+        found = json.loads(succeeded(call("measure", *arguments, "--json")))
+    assert head.split() == ["distance", "method", "found", "distance", "error", "lateral", "yaw"]
+    methods = ["plain", "soft", "POC", "ArUco"]
+    assert [row.split()[:4] for row in rows] == [["30", "m", method, "2/2"] for method in methods]
+    assert [(one["distance_m"], one["method"], one["found"], one["films"]) for one in found] == [
+        (30.0, method, 2, 2) for method in methods
+    ]
+    for one, row in zip(found, rows, strict=True):
+        # 0.75 m, the published error within 100 m
+        assert one["low"] <= one["distance_error"] <= one["high"] < 0.75 / 30
+        assert f"{one['distance_error']:.2%}" in row
+        assert (one["yaw_deg"] is None) == (one["method"] == "POC")
+
+
+@pytest.mark.parametrize("at", ["5", "25,nan"])
+def test_ranging_refuses_distances_beyond_the_scene(call: Call, at: str) -> None:
+    assert "distances are 10 to 1000 m, not" in failed(call("measure", "ranging", "--at", at))
 
 
 @pytest.mark.real_data

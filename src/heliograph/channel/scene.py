@@ -81,11 +81,14 @@ def homography(
     gap = np.stack(np.broadcast_arrays(x, y, z), -1)
     # X_camera = R^T (P + R_a (a, b, 0)^T - C); pixel = K X_camera; a, b in m right and down in the plane
     columns = np.concatenate([np.broadcast_to(tilt[..., :2], (*gap.shape[:-1], 3, 2)), gap[..., None]], -1)
-    lens = np.array(
-        [[camera.focal_px, 0, (camera.width - 1) / 2], [0, camera.focal_px, (camera.height - 1) / 2], [0, 0, 1]]
-    )
     eye = -gap @ tilt if path is None else -(gap[..., None, :] @ tilt)[..., 0, :]
-    return lens @ np.swapaxes(turn, -1, -2) @ columns, eye
+    return lens_matrix(camera) @ np.swapaxes(turn, -1, -2) @ columns, eye
+
+
+def lens_matrix(camera: CameraSettings) -> Floats:
+    """Return the matrix K of the pinhole camera, (3, 3)."""
+    x, y = (camera.width - 1) / 2, (camera.height - 1) / 2
+    return np.array([[camera.focal_px, 0, x], [0, camera.focal_px, y], [0, 0, 1]])
 
 
 def project(homographies: Floats, points_m: Floats) -> tuple[Floats, Floats]:

@@ -1,6 +1,7 @@
 """Commands of `heliograph measure`: measurements with arguments."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from heliograph.base.workers import limit_threads
 from heliograph.cli import console, options
 from heliograph.cli.options import option
 from heliograph.experiments import code_errors, known_receiver
+from heliograph.experiments import ranging as ranges
 from heliograph.experiments.detection import acquisition as detection
 from heliograph.experiments.detection import header_separation as headers
 from heliograph.experiments.error_rates import real_input
@@ -218,6 +220,37 @@ def codes(
             console.say(f"{name}, {plan.code.k} of {plan.code.length} bits, {point:g} dB: {_count_text(count)}")
     if figure:
         write_whole(figure, code_errors.draw(counts, chosen))
+
+
+@measurement
+def ranging(
+    at: str = option("Distances in m.", "M,M", default="25,40,60,80,105"),
+    films: int = option("Films at each distance.", default=40, min=1),
+    first: First = 1000,
+    workers: options.WorkersOption = None,
+    as_json: options.JsonList = False,
+) -> None:
+    """Compare distance and pose of the array with published references.
+
+    Receivers, phase-only correlation (POC) and an ArUco marker on the same road; rms errors, 95 % intervals.
+    """
+    distances = _numbers(at)
+    total = films * len(distances)
+    with console.progress("films", total, is_hidden=as_json) as advance:
+        context = _context(workers, lambda done: advance(done * total))
+        found = ranges.measure(distances, range(first, first + films), context)
+    if as_json:
+        console.say_json([asdict(accuracy) for accuracy in found])
+    else:
+        head = ["distance", "method", "found", "distance error", "lateral", "yaw"]
+        console.say_table(head, [[*_accuracy_row(accuracy)] for accuracy in found])
+
+
+def _accuracy_row(a: ranges.Accuracy) -> Iterator[str]:
+    yield from (f"{a.distance_m:g} m", a.method, f"{a.found}/{a.films}")
+    yield f"{a.distance_error:.2%} ({a.low:.2%} to {a.high:.2%})" if a.found else "-"
+    yield "-" if a.lateral_m is None else f"{a.lateral_m:.2g} m"
+    yield "-" if a.yaw_deg is None else f"{a.yaw_deg:.2g} deg"
 
 
 @measurement

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
+from heliograph.base.arrays import Floats
+from heliograph.channel.scene import lens_matrix
+from heliograph.channel.settings import CameraSettings
 from heliograph.link.settings import LinkSettings
 from heliograph.link.simulate import transmitters
 from heliograph.measure.counts import BUDGET_S, LayerCounts, Layers, no_errors, pooled, ticks
@@ -247,12 +250,8 @@ class ErrorCounter:
         later = min(max(bisect_left(times, time_s), 1), len(times) - 1)
         (before_s, before), (after_s, after) = self._recent[max(later - 1, 0)], self._recent[later]
         part = (time_s - before_s) / (after_s - before_s) if after_s > before_s else 0.0
-        camera = self._settings.channel.camera
-        lens: NDArray[Any] = np.array(
-            [[camera.focal_px, 0, (camera.width - 1) / 2], [0, camera.focal_px, (camera.height - 1) / 2], [0, 0, 1]]
-        )
-        right, down, centre = np.linalg.solve(lens, before[array] + part * (after[array] - before[array])).T
-        true = Rotation.from_matrix(np.stack([right, down, np.cross(right, down)], axis=1))
+        plane = before[array] + part * (after[array] - before[array])
+        centre, true = pose_in_space(plane, self._settings.channel.camera)
         within = [
             [
                 error[:size] @ np.linalg.solve(pose.covariance[:size, :size], error[:size]) < chdtri(size, 0.05)
@@ -301,6 +300,12 @@ class ErrorCounter:
         # 1e-7 s: rounding
         number, fraction = divmod((time_s + 1e-7 - place.start_s) / self._packet_s(array), 1.0)
         return int(number), fraction
+
+
+def pose_in_space(homography: NDArray[Any], camera: CameraSettings) -> tuple[Floats, Rotation]:
+    """Return centre in m and rotation of an array in the axes of the camera."""
+    right, down, centre = np.linalg.solve(lens_matrix(camera), homography).T
+    return centre, Rotation.from_matrix(np.stack([right, down, np.cross(right, down)], axis=1))
 
 
 def _compare_raw(count: Count, decided: NDArray[np.uint8], coded: NDArray[np.uint8]) -> None:
