@@ -1,15 +1,20 @@
 """The pages are operated by keyboard only, in a real browser."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("playwright", reason="playwright is not installed: pip install playwright")
 
-from browsers import needs_chromium, quiet_page
+from browsers import browser, needs_chromium, quiet_page, webcam_of
 from playwright.sync_api import Browser, Page, expect
+from screen_films import Phone, phone_frames, write_webcam
+from screen_light import shown
 from web_server import serving
+
+from heliograph.web.sending import sending_of
 
 pytestmark = [pytest.mark.slow, needs_chromium]
 PLACES = """
@@ -35,6 +40,15 @@ FOCUS = """
     }
 """
 """Number of the focused control, and True if its focus is visible."""
+ON_TOP = """
+    () => {
+      const place = document.activeElement, box = place.getBoundingClientRect();
+      const top = document.elementFromPoint((box.left + box.right) / 2, (box.top + box.bottom) / 2);
+      const isFull = place === document.body || place === document.fullscreenElement;
+      return [place.id, isFull || (place === top && Number(getComputedStyle(place.parentElement).opacity) === 1)];
+    }
+"""
+"""Name of the focused control, and True if nothing covers it; in between, the focus is on the page."""
 CLICK = """
     () => addEventListener("click", (event) => {
       event.target.dataset.clicked = !event.defaultPrevented;
@@ -126,6 +140,62 @@ def test_page_transmit_by_keyboard(chromium: Browser, address: str) -> None:
         page.keyboard.press("Escape")
         expect(page.locator("#pause")).to_be_disabled()
         walk(page)
+
+
+def test_full_screen_by_keyboard(chromium: Browser, address: str) -> None:
+    with quiet_page(chromium, f"{address}transmit") as page:
+        page.wait_for_selector("#rate option", state="attached")
+        tab_to(page, "text")
+        page.keyboard.type("Write, ")
+        tab_to(page, "send")
+        page.keyboard.press("Enter")
+        for name in ("Cancel", "Send slowly", "Start"):
+            expect(page.get_by_role("dialog").get_by_role("button", name=name)).to_be_focused()
+            page.keyboard.press("Tab" if name != "Start" else "Enter")
+        expect(page.locator("#pause")).to_be_enabled()
+        tab_to(page, "full")
+        page.keyboard.press("Enter")
+        expect(page.locator("#screen:fullscreen")).to_be_focused()
+        expect(page.locator(".controls")).to_have_css("opacity", "0")
+        reached = []
+        for _ in range(9):
+            page.keyboard.press("Tab")
+            name, on_top = page.evaluate(ON_TOP)
+            reached.append(name)
+            assert on_top, f"{name} has the focus and is not visible"
+        assert {"pause", "full", "again"} <= {*reached}
+        tab_to(page, "pause")
+        page.keyboard.press("Enter")
+        expect(page.locator("#pause")).to_have_text("Resume")
+        page.keyboard.press("Escape")
+        expect(page.locator(":fullscreen")).to_have_count(0)
+        expect(page.locator("#pause")).to_be_disabled()
+        expect(page.locator("#send")).to_be_focused()
+        walk(page)
+
+
+def test_page_receives_from_a_camera_by_keyboard(chromium: Browser, address: str, tmp_path: Path) -> None:
+    phone = Phone(width=320, height=240, side_px=160.0, blur_px=0.8, seed=12)
+    light = shown(sending_of(b"keys", None, 16, 15.0), 4.0, cell_px=12)
+    write_webcam(webcam := tmp_path / "webcam.mjpeg", phone_frames(light, phone))
+    with browser(chromium.browser_type, *webcam_of(webcam)) as found, quiet_page(found, f"{address}receive") as page:
+        tab_to(page, "start")
+        page.keyboard.press("Enter")
+        expect(page.locator("#start")).to_have_text("Stop the camera")
+        expect(page.locator("#start")).to_be_focused()
+        expect(page.locator(".text")).to_have_text("keys")
+        walk(page)
+        for _ in range(99):
+            if page.evaluate("document.activeElement.textContent") == "Copy":
+                break
+            page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("button", name="Copied")).to_be_focused()
+        tab_to(page, "stop")
+        page.keyboard.press("Enter")
+        expect(page.locator("#start")).to_have_text("Start the camera")
+        expect(page.locator("#stop")).to_be_hidden()
+        expect(page.locator("#start")).to_be_focused()
 
 
 def test_page_receive_by_keyboard(chromium: Browser, address: str) -> None:

@@ -114,6 +114,10 @@ def test_preview_is_still_and_states_the_film_time(chromium: Browser, address: s
         assert after != before
         page.wait_for_timeout(1000)
         assert page.evaluate(picture) == after
+        page.locator(".light summary").click()
+        page.check("#single")
+        expect(page.locator("#estimate")).to_contain_text("12 B in 1 packet, 61 bytes per second")
+        expect(page.locator("#single-said")).to_have_text("61 bytes per second")
         page.fill("#text", "")
         expect(page.locator("#pattern")).to_be_hidden()
         expect(page.locator(".notice")).to_be_hidden()
@@ -244,7 +248,12 @@ def test_transmit_obeys_keys_and_counts_skipped_refreshes(chromium: Browser, add
         expect(page.locator(":fullscreen")).to_have_count(0)
         page.evaluate("() => { const until = performance.now() + 900; while (performance.now() < until); }")
         expect(page.locator(".notice")).to_contain_text("Choose a lower rate")
+        expect(page.locator(".notice")).to_contain_text("Choose a lower rate: 5 patterns per second.")
         assert int(page.inner_text("[data-lost] td")) >= 3
+        page.keyboard.press("f")  # the full screen hides the notice
+        expect(page.locator(":fullscreen")).not_to_have_count(0)
+        page.evaluate("() => { const until = performance.now() + 900; while (performance.now() < until); }")
+        expect(page.locator("#corner")).to_contain_text("Choose a lower rate: 5 patterns per second.")
 
 
 def test_nothing_flashes_without_consent_and_escape_stops_at_once(chromium: Browser, address: str) -> None:

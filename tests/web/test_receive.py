@@ -41,8 +41,8 @@ TEXT = "18 °C am Bildschirm"
 SMALL = Phone(width=240, height=240, side_px=200, blur_px=0.8, seed=5)
 
 
-def grabs(side: int = 16, rate_hz: float = 15.0, seconds: float = 5.0) -> Grabs:
-    return shown(sending_of(TEXT.encode(), None, side, rate_hz), seconds, cell_px=8)
+def grabs(side: int = 16, rate_hz: float = 15.0, seconds: float = 5.0, inverses: bool = True) -> Grabs:
+    return shown(sending_of(TEXT.encode(), None, side, rate_hz, inverses), seconds, cell_px=8)
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +80,10 @@ def message(time_s: float, pixels: np.ndarray[Any, np.dtype[np.uint8]], number: 
 
 
 @pytest.mark.slow
-def test_film_needs_no_settings(client: TestClient, tmp_path: Path, sharp_frames: Timed) -> None:
-    rows = rows_of_film(client, tmp_path / "phone.mp4", sharp_frames, SMALL)
+@pytest.mark.parametrize("inverses", [True, False])
+def test_film_needs_no_settings(client: TestClient, tmp_path: Path, inverses: bool) -> None:
+    phone = replace(SMALL, seed=6 - inverses)
+    rows = rows_of_film(client, tmp_path / "phone.mp4", phone_frames(grabs(inverses=inverses), phone), phone)
     assert {row["text"] for row in rows if row["event"] == "message"} == {TEXT}
     assert {"event": "light", "rate_hz": 15.0, "side": 16} in rows
     assert (rows[-1]["event"], rows[-1]["ok"] > 0) == ("end", True)
@@ -208,38 +210,60 @@ def test_likely_reason_comes_first(client: TestClient, tmp_path: Path, sharp_fra
 
 
 @pytest.mark.parametrize(
-    ("phone", "reason"),
+    ("phone", "rate_hz", "reason"),
     [
-        (replace(SMALL, gain=0.005, noise=0.5), "Exposure: the patterns are dark"),
-        (replace(SMALL, gain=8.0), "Exposure: 74 % of the patterns are white blots"),
-        (replace(SMALL, blur_px=6.5), "Focus:"),
-        (replace(SMALL, side_px=0.1), "Sight: no area changes"),
-        (SMALL, ""),
+        (replace(SMALL, gain=0.005, noise=0.5), 15.0, "Exposure: the patterns are dark"),
+        (replace(SMALL, gain=8.0), 15.0, "Exposure: 74 % of the patterns are white blots"),
+        (replace(SMALL, blur_px=6.5), 15.0, "Focus:"),
+        (replace(SMALL, side_px=0.1), 15.0, "Sight: no area changes"),
+        (SMALL, 15.0, ""),
+        (replace(SMALL, gain=5.0, seed=8), 2.0, "Exposure: 58 % of the patterns are white blots"),
+        (replace(SMALL, seed=13), 2.0, ""),
+        (replace(SMALL, seed=9), 1.0, ""),
     ],
-    ids=["dark", "burnt", "blurred", "no screen", "none"],
+    ids=["dark", "burnt", "blurred", "no screen", "none", "burnt and slow", "slow", "header only"],
 )
 def test_likely_reason_of_a_camera_comes_within_five_seconds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phone: Phone, reason: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phone: Phone, rate_hz: float, reason: str
 ) -> None:
     monkeypatch.setattr("heliograph.web.camera_frames.MAX_WAITING", 1000)
-    camera, rows = CameraFrames(), Rows()
-    frames = list(phone_frames(grabs(seconds=5.0), phone))
+    camera = CameraFrames()
+    frames = list(phone_frames(grabs(rate_hz=rate_hz), phone))
     for k, (time_s, pixels) in enumerate(frames):
-        camera.put(message(time_s, pixels, k))
-
-    def tell(row: Mapping[str, Any]) -> None:
-        rows.append(row)
-        if row["event"] == "early":
-            raise GoneError  # ends the reception
-
-    request = LinkRequest()
-    recorder = FailureRecorder(tmp_path, request.default_link.signal)
-    reader = PageReader(request, tell, recorder, Store(1, "", StoredFilm.drop))
-    with contextlib.suppress(GoneError):
-        reader.read_camera(camera)
+        camera.put(message(1 + time_s, pixels, k))
+    rows = rows_before(camera, ("early",), tmp_path)
     assert rows[-1]["event"] == "early"
     assert [line[: len(reason)] for line in rows[-1]["lines"]] == [reason] * bool(reason)
     assert frames[[row["event"] for row in rows].count("took")][0] < 5.0
+
+
+def rows_before(camera: CameraFrames, events: Sequence[str], folder: Path) -> Rows:
+    """Read a camera; return the rows up to the first one with an event."""
+    rows = Rows()
+
+    def tell(row: Mapping[str, Any]) -> None:
+        rows.append(row)
+        if row["event"] in events:
+            raise GoneError  # ends the reception
+
+    request = LinkRequest()
+    recorder = FailureRecorder(folder, request.default_link.signal)
+    with contextlib.suppress(GoneError):
+        PageReader(request, tell, recorder, Store(1, "", StoredFilm.drop)).read_camera(camera)
+    return rows
+
+
+@pytest.mark.slow
+def test_packet_of_slow_patterns_has_time_to_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("heliograph.web.camera_frames.MAX_WAITING", 1000)
+    slow = replace(SMALL, fps=8.0, width=160, height=160, side_px=130.0, seed=7)
+    camera = CameraFrames()
+    # a packet lasts 15 s: the first one has begun, and the second one ends after 24 s
+    for k, (time_s, pixels) in enumerate(phone_frames(grabs(rate_hz=2.0, seconds=46.0), slow)):
+        if time_s > 6.0:
+            camera.put(message(time_s, pixels, k))
+    rows = rows_before(camera, ("message", "why"), tmp_path)
+    assert rows[-1]["event"] == "message"
 
 
 @pytest.mark.parametrize("side_px", [60, 120, 200])

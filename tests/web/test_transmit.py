@@ -50,6 +50,17 @@ def test_file_is_complete_after_any_packets(side: int) -> None:
     assert [(one.name, one.data) for one in whole] == [("picture.jpg", data)]
 
 
+@pytest.mark.parametrize("inverses", [True, False])
+def test_no_cell_flashes_more_often_than_the_warning_says(client: TestClient, inverses: bool) -> None:
+    facts = client.post(f"/api/transmit?side=8&rate_hz=10&inverses={inverses}", content=b"flashes").json()
+    answer = client.get(f"/api/transmit/{facts['sending']}/packets?count=4")
+    light = np.frombuffer(answer.content, np.uint8).reshape(-1, 64).astype(int)
+    # a flash is a pair of opposing changes of a tenth of full light or more (WCAG 2.3.1): here a level of 4
+    changes = [np.sign(steps[steps != 0]) for steps in np.diff(light, axis=0).T]
+    flashes = max(1 + np.count_nonzero(np.diff(signs)) for signs in changes) / 2
+    assert 3 < flashes * facts["rate_hz"] / len(light) <= facts["rate_hz"] / 2
+
+
 def test_long_text_is_sent_as_a_file() -> None:
     assert not sending_of(b"x" * 100, None, 16, 10.0).as_file
     assert sending_of(b"x" * 5000, None, 16, 10.0).as_file

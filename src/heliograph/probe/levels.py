@@ -23,8 +23,8 @@ def overexposed_part(counts: Counts, ceiling: int) -> float:
     width = max(round(min(0.06 * ceiling, 0.15 * (top - bottom))), 1)
     begin = max(top - width, 0)
     piled, below = int(counts[begin + 1 :].sum()), int(counts[max(begin + 1 - width, 0) : begin + 1].sum())
-    # of random data 1/16 of the LEDs have the highest of five levels
-    is_piled = top >= 0.5 * ceiling and piled >= max(0.3 * total, 3 * below)
+    # of random data 1/16 of the LEDs have the highest of five levels; a header has as many dark LEDs as bright ones
+    is_piled = top >= 0.5 * ceiling and piled >= max(0.3 * total, 3 * below, cumulative[bottom + width - 1])
     return max(clipped, piled / total) if is_piled else clipped
 
 

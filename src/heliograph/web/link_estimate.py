@@ -3,6 +3,7 @@
 import contextlib
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from itertools import takewhile
 from typing import Annotated, Any
 
@@ -20,7 +21,8 @@ Tell = Callable[[Mapping[str, Any]], None]  # sends a row to a page; an exceptio
 
 # sides in the order of trials; page *Transmit* offers 16 first
 TRIAL_SIDES = (16, 8, 32, 24, 12, 20, 28, 64, 48, 96, 128)
-DEFAULT_RATE_HZ = 10.0  # default pattern rate, as in page *Transmit*
+# default pattern rate, as in page *Transmit*, and rates of trials: without inverses, no rate is measured
+DEFAULT_RATE_HZ, TRIAL_RATES_HZ = 10.0, (10.0, 15.0, 30.0, 20.0)
 
 
 class LinkRequest(BaseModel):
@@ -53,10 +55,12 @@ def estimate_link(
 ) -> LinkSettings:
     """Estimate the settings of a link; `is_late` ends the trials."""
     rate_hz = request.rate_hz or patterns_per_s(frames)
+    side = request.side or cells_of_a_side(frames)
+    if rate_hz is None and side is not None and side not in rejected_sides:
+        rate_hz = next((hz for hz in TRIAL_RATES_HZ if _try(frames, _settings_at(side, hz), is_late)[1]), None)
     tell({"event": "light", "rate_hz": rate_hz})
     # a receiver with a wrong rate finds the right rate, but later
     trial_rate_hz = rate_hz or DEFAULT_RATE_HZ
-    side = request.side or cells_of_a_side(frames)
     if request.side is None and (side is None or side in rejected_sides):
         side = None
         for trial_side in TRIAL_SIDES:
@@ -73,6 +77,13 @@ def estimate_link(
     if rate_hz or side:
         tell({"event": "light", "rate_hz": rate_hz, "side": side})
     return screen_settings(side or TRIAL_SIDES[0], trial_rate_hz)
+
+
+def _settings_at(side: int, rate_hz: float) -> LinkSettings:
+    """Return settings of a receiver that searches no other rate."""
+    settings = screen_settings(side, rate_hz)
+    screen = replace(settings.receive.screen, find_rate=False)
+    return replace(settings, receive=replace(settings.receive, screen=screen))
 
 
 def _try(frames: list[Frame], settings: LinkSettings, is_late: Callable[[], bool]) -> tuple[bool, bool]:

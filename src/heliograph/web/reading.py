@@ -29,7 +29,9 @@ from heliograph.web.wording import page_words
 WINDOW_S, WINDOW_BYTES = 7.0, 160 << 20
 """Frames for the estimate of a link: two packets of 3 s and a pause; 170 frames of 1280 x 720 pixels."""
 
-PATIENCE_S = 12.0  # waiting time in s for a codeword before a diagnosis and a new estimate: three packets
+PATIENCE_S, PATIENCE_PACKETS = 12.0, 2.5
+"""Minimum waiting time for a codeword before a diagnosis and a new estimate, in s and in packets."""
+
 PROBE_FRAMES = 128  # frames of a diagnosis: some seconds of computing
 
 EARLY_S, EARLY_FRAMES = 3.5, 32
@@ -59,7 +61,7 @@ class PageReader:
     def __init__(self, request: LinkRequest, tell: Tell, recorder: FailureRecorder, bundles: Store[StoredFilm]):
         self._request, self._tell, self._recorder, self._bundles = request, tell, recorder, bundles
         self._reception = ReceptionCounter()
-        # Last frames of a camera with the present settings; True if no codeword was decoded for `PATIENCE_S`
+        # Last frames of a camera with the present settings; True if no codeword was decoded in time
         self._last_frames, self._is_exhausted = deque[Frame](maxlen=PROBE_FRAMES), False
         self._has_early_diagnosis = False
 
@@ -89,7 +91,7 @@ class PageReader:
         self._finish()
 
     def read_camera(self, camera: CameraFrames) -> None:
-        """Read a camera; estimate the link again if no codeword is decoded for `PATIENCE_S`."""
+        """Read a camera; estimate the link again if no codeword is decoded in time."""
         rejected_sides = set[int]()
         frames = self._recorded(self._acknowledged(camera))
         while window := self._wait_for_light(frames):
@@ -98,7 +100,9 @@ class PageReader:
             self._last_frames.clear()
             self._is_exhausted = False
             try:
-                self._read(Frames("the camera", self._attempted(window, frames, camera)), settings, None)
+                patience_s = max(PATIENCE_S, PATIENCE_PACKETS * settings.signal.packet_s)
+                attempt = self._attempted(window, frames, camera, patience_s)
+                self._read(Frames("the camera", attempt), settings, None)
             except MediaError:  # fewer frames than a packet
                 if not camera.late:
                     raise
@@ -109,8 +113,10 @@ class PageReader:
             rejected_sides = {settings.signal.side} - rejected_sides
         self._finish(camera.waiting)
 
-    def _attempted(self, window: list[Frame], frames: Iterator[Frame], camera: CameraFrames) -> Iterator[Frame]:
-        """Yield frames until no codeword is decoded for `PATIENCE_S`, or until the deadline of the camera."""
+    def _attempted(
+        self, window: list[Frame], frames: Iterator[Frame], camera: CameraFrames, patience_s: float
+    ) -> Iterator[Frame]:
+        """Yield frames until no codeword is decoded in time, or until the deadline of the camera."""
         codewords, start_s, timer = 0, None, Timer()
         for count, frame in enumerate(chain(window, frames), 1):
             decoded = self._codewords()
@@ -121,7 +127,7 @@ class PageReader:
             if camera.ended:
                 if timer.is_due():
                     self._tell({"event": "left", "frames": max(len(window) - count, 0) + camera.waiting})
-            elif frame.time_s - start_s > PATIENCE_S:
+            elif frame.time_s - start_s > patience_s:
                 self._is_exhausted = True
                 return
             if camera.late:

@@ -28,12 +28,14 @@ MAX_EDGE_PX, MARGIN = 1152, 2
 """Largest side in pixels and dark margin in cells, of a film of patterns."""
 
 
-def screen_settings(side: int, rate_hz: float) -> LinkSettings:
+def screen_settings(side: int, rate_hz: float, inverses: bool = True) -> LinkSettings:
     """Return the settings of the link from a screen to a phone."""
-    changes: dict[str, Mapping[str, Any]] = {"signal": {"side": side, "pattern_period_s": 1 / rate_hz}}
-    if side == 8 or side > 32:
-        # rate 3/4 in place of 1/2: more bytes in a codeword, and the noise of near screens is low
-        changes["transmit"] = {"formats": [{"mode": "short", **dict.fromkeys(LAYERS, 3 / 4)}]}
+    # rate 3/4 in place of 1/2: more bytes in a codeword, and the noise of near screens is low
+    rates = dict.fromkeys(LAYERS, 3 / 4 if side == 8 or side > 32 else 1 / 2)
+    changes: dict[str, Mapping[str, Any]] = {
+        "signal": {"side": side, "pattern_period_s": 1 / rate_hz},
+        "transmit": {"formats": [{"mode": "short" if inverses else "single", **rates}]},
+    }
     return load_settings("phone", changes)
 
 
@@ -106,12 +108,12 @@ def check_size(size: int) -> None:
         raise MediaError(f"a screen sends at most {MAX_BYTES >> 10} kB: choose a smaller file")
 
 
-def sending_of(data: bytes, name: str | None, side: int, rate_hz: float) -> Sending:
+def sending_of(data: bytes, name: str | None, side: int, rate_hz: float, inverses: bool = True) -> Sending:
     """Return the transmission of a text, or of a file with a name."""
     if not data and name is None:
         raise MediaError("the text is empty: write a text, or choose a file")
     check_size(len(data))
-    settings = screen_settings(side, rate_hz)
+    settings = screen_settings(side, rate_hz, inverses)
     formats = settings.transmit.formats
     layers = Transmitter(settings.signal, 0, {}, formats).format.layers.values()
     # A text of at most 4 packets is a message. A lost packet of a message costs a full repetition, while any packets

@@ -28,6 +28,7 @@ async def begin(
     rate_hz: Annotated[float, Query(ge=MIN_RATE_HZ, le=MAX_RATE_HZ, allow_inf_nan=False)] = 10.0,
     side: Annotated[int, Query(ge=SIDES[0], le=SIDES[-1], multiple_of=4)] = 16,
     name: Annotated[str | None, Query(max_length=400)] = None,
+    inverses: bool = True,
     is_preview: bool = False,
 ) -> dict[str, Any]:
     """Store a text or file, the body of a request; return the key and properties of the transmission.
@@ -38,7 +39,7 @@ async def begin(
     async for part in body_of(request, shared.limits.idle_s):
         data += part
         check_size(len(data))
-    sending = await in_thread(lambda: sending_of(bytes(data), name, side, rate_hz))
+    sending = await in_thread(lambda: sending_of(bytes(data), name, side, rate_hz, inverses))
     if is_preview:
         patterns = await in_thread(lambda: sending.packets(0, 1))
         return {"pattern": patterns[len(patterns) // 2].ravel().tolist(), **sending.facts()}

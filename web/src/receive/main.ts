@@ -65,8 +65,14 @@ function begin(words: string): number {
 function end(): void {
   sending?.abort();
   socket?.close();
-  closeCamera();
   [sending, socket] = [null, null];
+  rest();
+}
+
+/** Closes the camera, and hides what belongs to a reception; a focus on its button moves to the start. */
+function rest(): void {
+  closeCamera();
+  if (document.activeElement === stop) start.focus({ preventScroll: true });
   bar.hidden = stop.hidden = true;
 }
 
@@ -173,8 +179,7 @@ function ending(row: Row & { event: "end" }): string {
 
 function closed(reason: string): void {
   socket = null;
-  closeCamera();
-  bar.hidden = stop.hidden = true;
+  rest();
   if (reason !== "") {
     notice.fail(reason);
     say(`Ended: ${reason.replace(/\.$/, "")}.`);

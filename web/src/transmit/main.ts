@@ -15,13 +15,15 @@ const text = one("text", HTMLTextAreaElement);
 const file = one("file", HTMLInputElement);
 const side = one("side", HTMLSelectElement);
 const rate = one("rate", HTMLSelectElement);
+const single = one("single", HTMLInputElement);
 const gamma = one("gamma", HTMLInputElement);
 const brightness = one("brightness", HTMLInputElement);
-const stage = one("stage", HTMLElement);
+const screenPart = one("screen", HTMLElement);
 const array = one("array", HTMLCanvasElement);
 const chart = one("chart", HTMLCanvasElement);
 const sendButton = one("send", HTMLButtonElement);
 const pauseButton = one("pause", HTMLButtonElement);
+const fullButton = one("full", HTMLButtonElement);
 const said = one("said", HTMLElement);
 const warning = one("warning", HTMLDialogElement);
 const reducedMotion = matchMedia("(prefers-reduced-motion: reduce)");
@@ -130,6 +132,7 @@ async function preview(): Promise<void> {
   if (mine !== previews || player?.playing) return;
   one("preview", HTMLElement).hidden = found === null;
   one("estimate", HTMLElement).textContent = found === null ? "" : estimate(found);
+  one("single-said", HTMLElement).textContent = found === null ? "" : payload(found);
   if (found === null) return;
   const canvas = one("pattern", HTMLCanvasElement);
   const cells = found.side + 2 * MARGIN;
@@ -146,9 +149,14 @@ function previewSoon(): void {
   previewTimer = setTimeout(() => void preview(), PREVIEW_MS);
 }
 
+/** States skipped patterns and the remedy; also on the full screen, which hides the notice. */
 function showSkipped(): void {
-  if (player === null || player.lost < 3) return;
-  notice.say(`This display skips refreshes: ${player.lost} patterns were never shown. Choose a lower rate, close other programs, or keep this page visible in a window of its own.`);
+  if (player === null || facts === null || !player.playing || player.lost < 3) return;
+  const sent = facts.rate_hz;
+  const slower = [...rate.options].filter((option) => refresh / Number(option.value) < 0.99 * sent).at(-1);
+  const remedy = `Choose a lower rate${slower === undefined ? "" : `: ${slower.text} patterns per second`}`;
+  notice.say(`This display skips refreshes: ${player.lost} patterns were never shown. ${remedy}. Close other programs, and keep this page visible in a window of its own.`);
+  one("corner", HTMLElement).append(`. ${player.lost} patterns were never shown: press Esc. ${remedy}.`);
 }
 
 function advise(): void {
@@ -177,7 +185,7 @@ function refreshesFor(hz: number): number {
   return counts.reduce((best, n) => (Math.abs(refresh / n - hz) < Math.abs(refresh / best - hz) ? n : best));
 }
 
-/** A flash is a pair of changes: from dark to light and back. */
+/** A flash is a pair of changes, from dark to light and back: two patterns at least, with inverses and without. */
 function flashes(lasts: number): string {
   return (refresh / lasts / 2).toFixed(refresh / lasts < 4 ? 1 : 0).replace(/\.0$/, "");
 }
@@ -203,7 +211,8 @@ async function mayFlash(): Promise<boolean> {
 
 function query(name: string | null): URLSearchParams {
   return new URLSearchParams({
-    side: side.value, rate_hz: String(refresh / Number(rate.value)), ...(name === null ? {} : { name }),
+    side: side.value, rate_hz: String(refresh / Number(rate.value)), inverses: String(!single.checked),
+    ...(name === null ? {} : { name }),
   });
 }
 
@@ -215,6 +224,7 @@ async function send(): Promise<void> {
   const answer = await ask(`transmit?${query(name)}`, { method: "POST", body: data });
   facts = (await answer.json()) as Facts;
   one("estimate", HTMLElement).textContent = estimate(facts); // the dialog may have changed the rate
+  one("single-said", HTMLElement).textContent = payload(facts);
   packets = new Packets(facts);
   await packets.begin();
   player ??= new Player(array, 1000 / refresh, lasts, light());
@@ -241,11 +251,15 @@ function enableControls(enabled: boolean): void {
 function stop(): void {
   if (player === null) return;
   player.stop();
+  if (document.activeElement?.closest(".controls")) sendButton.focus({ preventScroll: true });
   enableControls(false);
   sendButton.textContent = "Send";
   said.textContent = "Stopped.";
   array.setAttribute("aria-label", "Patterns: stopped");
-  stage.classList.remove("fills");
+  if (screenPart.classList.contains("fills")) {
+    screenPart.classList.remove("fills");
+    keepFocus();
+  }
   showInstruction();
   showTurn();
   previewSoon();
@@ -273,17 +287,31 @@ function togglePause(): void {
   showPaused();
 }
 
+function isFull(): boolean {
+  return document.fullscreenElement !== null || screenPart.classList.contains("fills");
+}
+
+/** Keeps the focus on the full screen, whose controls show while they have it; returns it to the button at the end. */
+function keepFocus(): void {
+  for (let part: HTMLElement = screenPart; part !== document.body; part = part.parentElement!) {
+    for (const other of part.parentElement!.children) if (other !== part && other instanceof HTMLElement) other.inert = isFull();
+  }
+  fullButton.textContent = isFull() ? "Leave full screen" : "Full screen";
+  if (isFull()) screenPart.focus();
+  else (player?.playing ? fullButton : sendButton).focus({ preventScroll: true });
+}
+
 async function toggleFull(): Promise<void> {
-  if (stage.classList.contains("fills")) {
-    stage.classList.remove("fills");
-    showInstruction();
+  if (screenPart.classList.contains("fills")) {
+    screenPart.classList.remove("fills");
+    showFull();
   } else if (document.fullscreenElement === null) {
     leavingFullScreen = false;
     try {
-      await stage.requestFullscreen({ navigationUI: "hide" });
+      await screenPart.requestFullscreen({ navigationUI: "hide" });
     } catch {
-      stage.classList.add("fills"); // phones of one maker have no full screen for pages
-      showInstruction();
+      screenPart.classList.add("fills"); // phones of one maker have no full screen for pages
+      showFull();
     }
   } else {
     leavingFullScreen = true;
@@ -292,13 +320,17 @@ async function toggleFull(): Promise<void> {
   player?.fit();
 }
 
+function showFull(): void {
+  keepFocus();
+  showInstruction();
+}
+
 /** Covers the full screen with the instruction for some seconds; removes it outside full screen. */
 function showInstruction(): void {
   const instruction = one("instruction", HTMLElement);
-  const isFull = document.fullscreenElement !== null || stage.classList.contains("fills");
   clearTimeout(instructionTimer);
-  instruction.hidden = !isFull || facts === null;
-  if (facts === null || !isFull) return;
+  instruction.hidden = !isFull() || facts === null;
+  if (facts === null || !isFull()) return;
   instruction.textContent = `Film this screen with your phone, held still, for ${filmTime(facts)}, or point a webcam at it: page Receive, “Start the camera”. Esc stops and returns to the page.`;
   instructionTimer = setTimeout(() => { instruction.hidden = true; }, INSTRUCTION_MS);
 }
@@ -307,7 +339,7 @@ function showInstruction(): void {
 function fullScreenChanged(): void {
   // the change of entering may be reported after the key to leave
   if (document.fullscreenElement === null && !leavingFullScreen) stop();
-  showInstruction();
+  showFull();
   player?.fit();
 }
 
@@ -380,21 +412,22 @@ form.addEventListener("submit", (event) => {
 });
 form.addEventListener("change", chooseKind);
 form.addEventListener("input", markChanged);
+single.addEventListener("input", markChanged);
 onDrop(takeFile);
 rate.addEventListener("change", advise);
 gamma.addEventListener("input", lit);
 brightness.addEventListener("input", lit);
 pauseButton.addEventListener("click", togglePause);
-one("full", HTMLButtonElement).addEventListener("click", () => void toggleFull());
+fullButton.addEventListener("click", () => void toggleFull());
 one("again", HTMLButtonElement).addEventListener("click", () => { player?.restart(); showPaused(); });
 one("film", HTMLButtonElement).addEventListener("click", () => void saveFilm().catch((error: unknown) => notice.fail(error)));
-stage.addEventListener("dblclick", () => void toggleFull());
+one("stage", HTMLElement).addEventListener("dblclick", () => void toggleFull());
 document.addEventListener("keydown", typed);
 document.addEventListener("fullscreenchange", fullScreenChanged);
 document.addEventListener("visibilitychange", () => {
   if (document.visibilityState === "visible" && player !== null) void stayAwake();
 });
-new ResizeObserver(() => player?.fit()).observe(stage);
+new ResizeObserver(() => player?.fit()).observe(one("stage", HTMLElement));
 setInterval(showFacts, 1000);
 lit();
 chooseKind();
