@@ -162,8 +162,10 @@ def _harvester(settings: CameraSettings) -> Any:
     """Return a harvester with the cameras of all producers."""
     try:
         from harvesters.core import Harvester
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise MediaError(f"GenICam cameras need 'pip install harvesters' ({brief(error)})") from None
+    except ImportError as error:  # such as libpython, which the binding of some Python versions needs
+        raise MediaError(f"harvesters cannot be loaded: {brief(error)}; install the named library") from None
     files = producers(settings)
     logging.getLogger("harvesters").setLevel(logging.CRITICAL)  # the errors below are enough
     harvester = Harvester()
