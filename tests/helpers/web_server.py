@@ -6,13 +6,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import uvicorn
 from film_checks import uniform, write_levels
 from waiting import wait_until
 
 from heliograph.web.app import create_app
 from heliograph.web.security import Access
-from heliograph.web.serve import Address, open_port, server_config
+from heliograph.web.serve import Address, make_server, open_port
 from heliograph.web.shared import Limits
 
 OWN = "http://127.0.0.1:8000"  # address of test clients; other addresses are rejected
@@ -24,8 +23,8 @@ def serving(
 ) -> Iterator[str]:
     address, limits = Address(port=0), limits or Limits()
     app = create_app(films=[str(film) for film in films], access=access, limits=limits, phone_url=phone_url)
-    server = uvicorn.Server(server_config(app, address, limits))
     with open_port(address) as listener:
+        server = make_server(app, listener, address, limits)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         try:

@@ -231,6 +231,22 @@ def test_worker_ends_with_a_killed_parent() -> None:
     wait_until(lambda: not is_running(worker))
 
 
+CREATION = """
+import multiprocessing, signal
+from heliograph.base.workers import worker_environment
+with worker_environment():
+    multiprocessing.get_context("spawn").Lock()  # starts a process that tracks resources
+    print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="needs signal masks")
+def test_first_worker_of_a_process_is_created_with_ctrl_c_blocked() -> None:
+    run = subprocess.run([sys.executable, "-c", CREATION], capture_output=True, text=True)
+    assert (run.stdout, run.stderr) == ("True\n", "")
+
+
 @pytest.mark.slow
 def test_kernel_can_be_compiled_after_the_threads_were_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     limit_threads()  # starts Numba threads, which fixes the thread count

@@ -148,7 +148,7 @@ def test_full_screen_begins_with_an_instruction_and_counts_packets(chromium: Bro
 
 def test_code_opens_page_receive_on_a_phone(chromium: Browser, address: str) -> None:
     with quiet_page(chromium, f"{address}transmit") as page:
-        expect(page.locator("#phone")).to_contain_text("start it with heliograph serve --host 0.0.0.0")
+        expect(page.locator("#phone")).to_contain_text("Open only in a network that you trust")
         expect(page.locator("#code")).to_be_hidden()
     url = "http://192.168.1.5:8000/receive#token=secret"
     with (
@@ -157,6 +157,23 @@ def test_code_opens_page_receive_on_a_phone(chromium: Browser, address: str) -> 
     ):
         assert wait_until(lambda: read_code(page.locator("#code").screenshot())) == url
         check_accessibility(page)
+        expect(page.locator("#open-network")).to_be_visible()
+
+
+def test_button_opens_the_server_to_the_network_and_closes_it(
+    chromium: Browser, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("heliograph.web.serve._local_address", lambda: "127.0.0.2")
+    with quiet_page(chromium, f"{address}transmit") as page:
+        page.get_by_role("button", name="Open to the network").press("Enter")
+        url = wait_until(lambda: read_code(page.locator("#code").screenshot()))
+        check_accessibility(page)
+        assert url.startswith("http://127.0.0.2:")
+        with quiet_page(chromium, url) as phone:
+            expect(phone.locator("h1")).to_have_text("Receive")
+        page.get_by_role("button", name="Close to the network").click()
+        expect(page.locator("#code")).to_be_hidden()
+        expect(page.get_by_role("button", name="Open to the network")).to_be_enabled()
 
 
 def read_code(screenshot: bytes) -> str:

@@ -88,7 +88,7 @@ def test_preview_has_a_pattern_and_stores_nothing(client: TestClient) -> None:
 
 
 def test_phone_gets_an_address_only_from_an_open_server(client: TestClient) -> None:
-    assert client.get("/api/transmit/phone").json() == {"url": "", "code": ""}
+    assert client.get("/api/transmit/phone").json() == {"url": "", "code": "", "opens": False}
     access, url = Access(LOOPBACK, token="secret"), "http://192.168.1.5:8000/receive#token=secret"
     with TestClient(create_app(access=access, phone_url=url), base_url=OWN) as served:
         assert served.get("/api/transmit/phone").status_code == 401

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import threading
 import time
 from base64 import b64decode
 from collections.abc import Iterator
@@ -21,7 +22,7 @@ from played_camera import PlayedCamera
 from starlette.testclient import WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 from waiting import wait_until
-from web_server import OWN
+from web_server import OWN, write_dark_film
 
 import heliograph
 from heliograph.base.frames import Frame
@@ -34,7 +35,7 @@ from heliograph.media.live.camera import register_camera
 from heliograph.receive.geometry.pose import Pose
 from heliograph.web.app import create_app
 from heliograph.web.failures import FailureRecorder
-from heliograph.web.recorded_drive import RECORDED_DRIVE, warm_up
+from heliograph.web.recorded_drive import RECORDED_DRIVE, start_warm_up, warm_up
 from heliograph.web.security import Access
 from heliograph.web.shared import Limits
 from heliograph.web.stores import Store, StoredFilm
@@ -282,6 +283,50 @@ def test_last_frames_of_a_large_film_stay_below_50_mb(tmp_path: Path) -> None:
     for k in range(150):
         recorder.add_frame(Frame(k, k / 1000, np.zeros((512, 1024), np.uint8)))
     assert saved_frames(recorder)[-1].index == 149
+
+
+@pytest.mark.parametrize("command", ["", "stop"])
+def test_first_picture_is_shown_before_the_receiver_is_compiled(tmp_path: Path, command: str) -> None:
+    app = create_app(films=[str(write_dark_film(tmp_path / "dark.h5", 120))])
+    app.state.shared.is_compiled.clear()
+    with TestClient(app, base_url=OWN) as client, connected(client) as page:
+        page.open(kind="named", number=0, receiver="plain")
+        while not (message := page.session.receive()).get("bytes"):
+            assert json.loads(message["text"])["event"] == "source"
+        assert parted(message["bytes"])[0]["frame"] == 0
+        page.do(command) if command else app.state.shared.is_compiled.set()
+        seen = page.watch()
+    assert seen.of("state")[-1]["frames"] == (1 if command == "stop" else 120)
+
+
+def test_first_start_compiles_in_a_second_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The memory of the compiler would stay with the server."""
+    is_compiled, ends, warm = threading.Event(), threading.Event(), threading.Event()
+    processes = list[Any]()
+
+    def process(target: Any, args: Any, daemon: bool) -> Any:
+        def join() -> None:
+            assert ends.wait(60)
+            args[0].touch()
+
+        parts = {"start": lambda: None, "join": join, "pid": 1, "exitcode": 0}
+        processes.append(SimpleNamespace(**parts, is_stopped_with_the_server=daemon))
+        return processes[-1]
+
+    monkeypatch.setattr("heliograph.web.recorded_drive.cache_folder", lambda: tmp_path)
+    monkeypatch.setattr("heliograph.web.recorded_drive.warm_up", warm.set)
+    monkeypatch.setattr("multiprocessing.get_context", lambda _: SimpleNamespace(Process=process))
+    is_compiled.set()
+    start_warm_up(is_compiled)
+    assert processes[0].is_stopped_with_the_server
+    assert not is_compiled.is_set()
+    assert not warm.is_set()  # functions load from the cache afterwards
+    ends.set()
+    assert is_compiled.wait(60)
+    assert warm.wait(60)
+    start_warm_up(is_compiled)
+    assert len(processes) == 1
+    assert is_compiled.is_set()
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import resource_tracker
 
 from heliograph.base.registry import register_again, registered
 
@@ -27,7 +28,10 @@ def worker_environment() -> Iterator[None]:
     """Set the thread limits for new processes, and block Ctrl-C until the workers ignore the signal."""
     before = {name: os.environ[name] for name in THREAD_LIMITS if name in os.environ}
     os.environ.update(THREAD_LIMITS)
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
+    mask = None
+    if hasattr(signal, "pthread_sigmask"):
+        resource_tracker.ensure_running()  # the first start of the tracker process would unblock Ctrl-C
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:

@@ -10,6 +10,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
+from starlette.types import Lifespan
 
 from heliograph.base.errors import HeliographError
 from heliograph.link.settings import LinkSettings, load_settings
@@ -46,18 +47,27 @@ def create_app(
     shared = Shared(link, shown, limits, tuple(camera), is_auto=is_auto, phone_url=phone_url)
 
     @contextlib.asynccontextmanager
-    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         with tempfile.TemporaryDirectory(prefix="heliograph-", ignore_cleanup_errors=True) as folder:
             shared.folder = Path(folder)
-            yield
+            try:
+                yield
+            finally:
+                if app.state.network is not None:
+                    await app.state.network.close()
 
+    return guarded_app(shared, access or Access(), lifespan)
+
+
+def guarded_app(shared: Shared, access: Access, lifespan: Lifespan[FastAPI] | None = None) -> FastAPI:
+    """Create the application of a listener; `state.network` is the network listener that this application controls."""
     app = FastAPI(title="Heliograph", openapi_url=None, docs_url=None, redoc_url=None, lifespan=lifespan)
-    app.state.shared = shared
+    app.state.shared, app.state.network = shared, None
     for module in (files, watch, transmit, receive, built):
         app.include_router(module.router)
     for kind in (HeliographError, HTTPException, RequestValidationError, ClientDisconnect, Exception):
         app.add_exception_handler(kind, _answer_error)
-    app.add_middleware(Guard, access=access or Access())
+    app.add_middleware(Guard, access=access)
     return app
 
 

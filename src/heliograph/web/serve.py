@@ -3,8 +3,7 @@
 import asyncio
 import secrets
 import socket
-import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import uvicorn
@@ -12,9 +11,10 @@ from fastapi import FastAPI
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from heliograph.base.errors import SettingsError
-from heliograph.web.recorded_drive import warm_up
+from heliograph.web.app import guarded_app
+from heliograph.web.recorded_drive import start_warm_up
 from heliograph.web.security import LOOPBACK, Access
-from heliograph.web.shared import Limits
+from heliograph.web.shared import Limits, Shared
 
 
 def http_protocol(idle_s: float) -> type[H11Protocol]:
@@ -89,20 +89,58 @@ def open_port(address: Address) -> socket.socket:
 
 
 def run(app: FastAPI, listener: socket.socket, address: Address, limits: Limits) -> None:
-    """Serve until Ctrl-C, and compile the receiver meanwhile."""
-    config = server_config(app, address, limits)
+    """Serve until Ctrl-C, and warm up the receiver meanwhile."""
+    server = make_server(app, listener, address, limits)
     try:
-        config.load()
+        server.config.load()
     except OSError as error:  # includes ssl.SSLError
         raise SettingsError(
             f"cannot use the certificate {address.certificate} and its key: {error.strerror or error}; "
             f"give both in PEM by --certificate and --key"
         ) from None
-    threading.Thread(target=warm_up, daemon=True).start()
-    uvicorn.Server(config).run(sockets=[listener])
+    start_warm_up(app.state.shared.is_compiled)
+    server.run(sockets=[listener])
 
 
-def server_config(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Config:
+def make_server(app: FastAPI, listener: socket.socket, address: Address, limits: Limits) -> uvicorn.Server:
+    """Create a server; a server for this machine can open to the network."""
+    if address.is_loopback:
+        app.state.network = Network(app.state.shared, replace(address, port=listener.getsockname()[1]), limits)
+    return uvicorn.Server(_config(app, address, limits))
+
+
+class Network:
+    """Listener for other machines, with the same port and a new token each time."""
+
+    def __init__(self, shared: Shared, address: Address, limits: Limits):
+        self._shared, self._address, self._limits, self._lock = shared, address, limits, asyncio.Lock()
+        self._running: tuple[uvicorn.Server, asyncio.Task[None]] | None = None
+
+    async def open(self) -> None:
+        """Listen at the address of this machine in the local network."""
+        async with self._lock:
+            if self._running is not None:
+                return
+            address = replace(self._address, host=_local_address())
+            if address.is_loopback:
+                raise SettingsError("this machine has no network address: connect to a network, then try again")
+            access = address.access()
+            listener = open_port(address)
+            server = uvicorn.Server(_config(guarded_app(self._shared, access), address, self._limits))
+            self._running = server, asyncio.create_task(server.serve(sockets=[listener]))
+            self._shared.phone_url = address.url(address.port, access.token, "receive")
+
+    async def close(self) -> None:
+        """Stop listening, and disconnect other machines."""
+        async with self._lock:
+            if self._running is not None:
+                (server, task), self._running = self._running, None
+                self._shared.phone_url = ""
+                server.should_exit = True
+                await task
+
+
+def _config(app: FastAPI, address: Address, limits: Limits) -> uvicorn.Config:
     """Return the configuration of uvicorn."""
     return uvicorn.Config(
         app,

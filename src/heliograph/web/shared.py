@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import threading
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,8 +74,11 @@ class Shared:
         self.settings, self.films, self.limits, self.camera = settings, films, limits, camera
         # Live cameras of the last search; identified by number
         self.cameras: list[str] = []
-        # Address of page *Receive* for other machines; empty if only this machine has access
+        # Present address of page *Receive* for other machines; empty if only this machine has access
         self.phone_url = phone_url
+        # Set unless the first start compiles the receiver
+        self.is_compiled = threading.Event()
+        self.is_compiled.set()
         # Folder of films, set while the server runs
         self.folder = Path()
         self.uploads = Store[StoredFilm](

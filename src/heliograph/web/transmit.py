@@ -10,6 +10,7 @@ import segno
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
+from starlette.exceptions import HTTPException
 
 from heliograph.base.errors import MediaError
 from heliograph.media import create_film
@@ -47,12 +48,36 @@ async def begin(
 
 
 @router.get("/phone")
-async def phone(shared: SharedState) -> dict[str, str]:
-    """Return the address of page *Receive* for a phone, and the QR code in SVG; empty if no phone has access."""
+async def phone(request: Request, shared: SharedState) -> dict[str, Any]:
+    """Return the address of page *Receive* for a phone, and the QR code in SVG; empty if no phone has access.
+
+    `opens` is true if this page may open and close the network.
+    """
     code = io.BytesIO()
     if shared.phone_url:
         segno.make(shared.phone_url, error="l").save(code, kind="svg", scale=8, light="#fff")
-    return {"url": shared.phone_url, "code": code.getvalue().decode()}
+    opens = request.app.state.network is not None
+    return {"url": shared.phone_url, "code": code.getvalue().decode(), "opens": opens}
+
+
+@router.put("/phone")
+async def open_network(request: Request, shared: SharedState) -> dict[str, Any]:
+    """Listen to the network with a new token."""
+    await _network_of(request).open()
+    return await phone(request, shared)
+
+
+@router.delete("/phone")
+async def close_network(request: Request, shared: SharedState) -> dict[str, Any]:
+    """Disconnect other machines, and listen to this machine only."""
+    await _network_of(request).close()
+    return await phone(request, shared)
+
+
+def _network_of(request: Request) -> Any:
+    if request.app.state.network is None:
+        raise HTTPException(403, "only the pages on the machine of the server open and close the network")
+    return request.app.state.network
 
 
 @router.get("/{name}/packets")

@@ -432,4 +432,4 @@ setInterval(showFacts, 1000);
 lit();
 chooseKind();
 void prepare();
-showPhone().catch((error: unknown) => notice.fail(error));
+showPhone(notice).catch((error: unknown) => notice.fail(error));

@@ -130,6 +130,8 @@ class Run:
                     # before the first search, which may compile functions
                     self._outbox.show(observer.scene(frame).encoded)
                 self._newest = frame
+                while not (self._shared.is_compiled.wait(0.1) or self.gate.stopped):
+                    pass
                 yield frame
                 self._mark("search")
 
