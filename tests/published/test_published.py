@@ -9,6 +9,7 @@ from scenes import film, link, received, words_of
 from heliograph.base.errors import HeliographError, SettingsError
 from heliograph.base.frames import Frame
 from heliograph.measure.bench import run_block
+from heliograph.published.kaic import SAME_PATTERN, estimate_phase, slot_covariance
 from heliograph.receive.api import list_receivers, make_receiver
 from heliograph.receive.packet import Packet
 from heliograph.receive.registry import RECEIVERS, is_bound
@@ -131,3 +132,40 @@ def test_oversampling_follows_the_drift_of_a_camera() -> None:
     counts = run_block(link(*changes, camera=camera, distance_m=30.0), SEED, max_packets=12)
     assert counts.packets >= 11
     assert counts.layers["high"].codeword_errors <= 1
+
+
+@pytest.mark.parametrize("per_pattern", [1.0, 1.3, 2.0])
+def test_kurtosis_shows_the_mixing_ratio(per_pattern: float) -> None:
+    """Random on-off LEDs with inverses and noise of 3 %; a guess would be as close in a fifth of the cases."""
+    rng = np.random.default_rng([SEED, int(10 * per_pattern)])
+    slots = slot_covariance(SignalSettings(modulation="ook")) * SAME_PATTERN
+    for phase in rng.uniform(size=4):
+        pairs = rng.integers(0, 2, (27, 60)).astype(float)
+        patterns = np.stack([pairs, 1 - pairs], 1).reshape(54, 60)
+        starts, exposure = np.arange(1, int(50 * per_pattern)) / per_pattern, 1 / per_pattern
+        # light since the start of pattern 0, linear in each pattern
+        sums, edges = np.vstack([np.zeros(60), np.cumsum(patterns, 0)]), np.arange(55) + phase
+        light = [[np.interp(t, edges, led) for led in sums.T] for t in (*starts, *(starts + exposure))]
+        first, last = np.split(np.array(light), 2)
+        frames = (last - first) / exposure + rng.normal(0, 0.03, first.shape)
+        error = estimate_phase(starts, frames, exposure, slots, np.arange(0, 1, 1 / 32)) - phase
+        assert abs(error - round(error)) < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("modulation", "fps", "phase"), [
+    ("ook", 1000.0, 0.27), ("ook", 1000.0, 0.74), ("ook", 1300.0, 0.55), ("haar", 2000.0, 0.85),
+])  # fmt: skip
+def test_blind_separation_reads_a_camera_out_of_step(modulation: str, fps: float, phase: float) -> None:
+    camera = {"width": 160, "height": 120, "fps": fps, "exposure_s": 1 / fps}
+    array = {"x_m": 0.0, "y_m": 0.0, "start_s": phase * 1e-3}
+    changes = f"signal.modulation={modulation}", "signal.data_pairs=24", "receive.receiver=kaic"
+    counts = run_block(link(*changes, camera=camera, arrays=[array], distance_m=25.0), SEED, max_packets=2)
+    assert counts.packets > 0
+    assert [layer.codeword_errors for layer in counts.layers.values()] == [0, 0, 0]
+
+
+def test_blind_separation_refuses_fewer_frames_than_patterns() -> None:
+    settings = link("receive.receiver=kaic", camera={"width": 160, "height": 120, "fps": 800.0})
+    with pytest.raises(HeliographError, match="kaic receiver needs at least one frame per pattern: the film has 800"):
+        received(film(settings, 20, roi_margin_px=12), settings)

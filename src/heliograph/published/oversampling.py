@@ -108,13 +108,7 @@ class OversamplingReceiver:
         held, self._held = self._held, []
         if len(held) < 2:
             return
-        step_s = (held[-1].time_s - held[0].time_s) / (held[-1].index - held[0].index)
-        if abs(2 * step_s / self._period_s - 1) > STEP_TOLERANCE:
-            raise HeliographError(
-                f"the oversampling receiver needs two frames per pattern: the film has {1 / step_s:.1f} frames/s, the "
-                f"light {1 / self._period_s:.1f} patterns/s; record at {2 / self._period_s:.1f} frames/s, or use "
-                f"--receiver soft"
-            )
+        check_rate("oversampling", "two frames per pattern", held, self._period_s, (2, 2))
         self._phase = int(self._change[1] > self._change[0])
         for sample in held:
             if sample.index % 2 == self._phase:
@@ -130,3 +124,15 @@ class OversamplingReceiver:
             self._shift_s += (2 * steps - frames) * 0.5 * self._period_s
         self._selected, self._index = sample, self._index + steps
         yield from self._receiver.push(replace(sample, index=self._index, time_s=sample.time_s + self._shift_s))
+
+
+def check_rate(name: str, needed: str, frames: list[Frame], period_s: float, limits: tuple[float, float]) -> float:
+    """Return the frame period in seconds; raise a HeliographError unless the frames per pattern are within limits."""
+    step_s = (frames[-1].time_s - frames[0].time_s) / (frames[-1].index - frames[0].index)
+    per_pattern, (least, most) = period_s / step_s, limits
+    if not least * (1 - STEP_TOLERANCE) < per_pattern < most * (1 + STEP_TOLERANCE):
+        raise HeliographError(
+            f"the {name} receiver needs {needed}: the film has {1 / step_s:.1f} frames/s, the light "
+            f"{1 / period_s:.1f} patterns/s; record at {least / period_s:.1f} frames/s, or use --receiver soft"
+        )
+    return step_s

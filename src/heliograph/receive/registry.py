@@ -46,6 +46,7 @@ RECEIVERS: Registry[Any] = Registry(
         "svm": "heliograph.published.learned:svm_receiver",
         "mlp": "heliograph.published.learned:mlp_receiver",
         "oversampling": "heliograph.published.oversampling:OversamplingReceiver",
+        "kaic": "heliograph.published.kaic:SeparationReceiver",
     },
 )
 """Receivers by the setting ``receive.receiver``: a `ReceiverPart`, or a function that makes the receiver."""
