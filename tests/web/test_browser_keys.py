@@ -104,6 +104,8 @@ def test_page_watch_by_keyboard(chromium: Browser, address: str) -> None:
     with quiet_page(chromium, f"{address}watch", **still) as page:
         page.wait_for_selector("#kind option", state="attached")
         walk(page)
+        # so that the drive lasts until the second key
+        page.select_option("#speed", "0.1")
         tab_to(page, "pause")
         page.keyboard.press("Space")
         page.wait_for_selector("#packets li", state="attached")
