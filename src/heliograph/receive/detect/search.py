@@ -8,7 +8,9 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 from itertools import islice, takewhile
+from operator import add
 
 import cv2
 import numpy as np
@@ -49,7 +51,8 @@ class HeaderSearch:
     @property
     def load(self) -> SearchLoad:
         """Work of all streams, with the skipped candidates and blocks."""
-        return sum((search.budget.load for _, search in self._streams), SearchLoad())
+        loads = [search.budget.load for _, search in self._streams]
+        return reduce(add, loads) if loads else SearchLoad()
 
     def start(self, period_s: float) -> None:
         """Prepare for frames of a period, before the first frame: the light's period or less."""

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
-from scipy.special import entr, expit
 
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.observe.statistics import PairStatistics, WhitenedCutout
@@ -38,9 +37,10 @@ def llr_of(precision: Floats, weighted: Floats) -> Floats:
 
 def information(llr: Floats) -> Floats:
     """Compute the mean information of calibrated LLRs, in bit per bit, (...,)."""
-    # I = 1 - h2(P(wrong)), P(wrong) = 1 / (1 + exp |L|)
-    wrong = expit(-np.abs(llr))
-    return np.asarray(1 - (entr(wrong) + entr(1 - wrong)).mean(-1) / np.log(2))
+    # I = 1 - h2(p), p = 1 / (1 + exp |L|), h2 ln 2 = ln(1 + exp -|L|) + p |L|
+    size = np.abs(llr)
+    odds = np.exp(-size)
+    return np.asarray(1 - (np.log1p(odds) + size * odds / (1 + odds)).mean(-1) / np.log(2))
 
 
 @dataclass(frozen=True)  # without slots, for cached properties

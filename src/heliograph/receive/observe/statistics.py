@@ -177,6 +177,7 @@ def light_of_symbols(light: Footprints) -> NDArray[np.float32]:
 
 def gram_of(light: Footprints) -> NDArray[np.float32]:
     """Compute B^T B, (symbols, symbols) float32: <led_i, led_j> = <across_i, across_j> <down_i, down_j>."""
-    # X X^T of NumPy takes six times as long; the transpose has the order of BLAS
-    across, down = (blas.sgemm(1.0, part.astype(np.float32).T, part.astype(np.float32).T, trans_a=1) for part in light)
+    # X X^T of NumPy takes six times as long; BLAS takes and returns the transpose, which is the same here
+    single = (part.astype(np.float32).T for part in light)
+    across, down = (blas.sgemm(1.0, part, part, trans_a=1).T for part in single)
     return transform_gram(across * down)

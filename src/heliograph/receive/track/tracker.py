@@ -52,11 +52,10 @@ class Tracker:
         corner, up, down = _cut(pair, track.render_cache.window(pose, self._side, _margin(pose)))
         before = track
         difference, total, noise, track = preview_pair(track, up, down, corner, pose)
-        uncovered, is_occluded = track.uncovered, track.is_occluded
-        open_pixels = None
+        is_occluded, open_pixels = track.is_occluded, None
         if is_occluded or not track.led_gains.all():
-            open_pixels = self._open_pixels(track, uncovered, pose, corner, up.shape)
-        is_hidden = is_occluded and uncovered.mean() < PARAMETERS.min_visible_part
+            open_pixels = self._open_pixels(track, pose, corner, up.shape)
+        is_hidden = is_occluded and track.uncovered.mean() < PARAMETERS.min_visible_part
         if is_hidden or (open_pixels is not None and not open_pixels.any()):
             return _coast(before, replace(track, state=predicted))
         # (pattern) + (inverse) = every LED on, Fig. 9
@@ -164,12 +163,10 @@ class Tracker:
         start[4] = prior.vector[4]
         return start
 
-    def _open_pixels(
-        self, track: Track, uncovered: Floats, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]
-    ) -> Floats | None:
+    def _open_pixels(self, track: Track, pose: Pose, corner: tuple[int, int], shape: tuple[int, int]) -> Floats | None:
         """Return a mask of the valid pixels (rows, columns) of a sum, 1 or 0; None for all pixels."""
         # a zone hidden in the header may be visible by now, dead LEDs stay dark
-        dark = track.led_gains == 0
+        uncovered, dark = track.uncovered, track.led_gains == 0
         zone = dark_zone(dark, pose) if dark.any() else dark
         is_open = np.where(zone, 0.0, uncovered) if zone.any() else uncovered
         if is_open.mean() < PARAMETERS.min_visible_part:
