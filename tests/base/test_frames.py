@@ -33,8 +33,8 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "a complex time": ({"time_s": np.complex128(1)}, "time in seconds"),
     "half a number": ({"index": 0.5}, "its number, a whole one, not 0.5"),
     "a huge number": ({"index": 1 << 80}, "its number, a whole one"),
-    "no corner": ({"origin": None}, "origin is .x, y. on the sensor in whole pixels, a tuple, not NoneType"),
-    "half a corner": ({"origin": (1, 0.5)}, "in whole pixels"),
+    "no corner": ({"origin": None}, "origin is a tuple .x, y. of whole pixels, not NoneType"),
+    "half a corner": ({"origin": (1, 0.5)}, "of whole pixels"),
 }
 
 

@@ -56,8 +56,7 @@ class Frame:
             time = f"a time in seconds, at most {LATEST_S:g}, not {shown(self.time_s)}"
             raise HeliographError(f"a frame's time_s is {time}; {cure}")
         if not (isinstance(self.origin, tuple) and len(self.origin) == 2 and all(map(_is_whole, self.origin))):
-            place = "(x, y) on the sensor in whole pixels, a tuple"
-            raise HeliographError(f"a frame's origin is {place}, not {shown(self.origin)}")
+            raise HeliographError(f"a frame's origin is a tuple (x, y) of whole pixels, not {shown(self.origin)}")
 
     @classmethod
     def from_array(

@@ -4,7 +4,7 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from difflib import get_close_matches
 from functools import lru_cache
 from importlib import import_module
@@ -49,7 +49,7 @@ class Registry(Generic[T]):
             return self._registered[name]
         if name in self.built_in:
             return cast(T, EntryPoint(name, self.built_in[name], self._group).load())
-        entry = next(entry for entry in _entries(self._group) if entry.name == name)
+        entry = _entries(self._group)[name]
         try:
             return cast(T, entry.load())
         except Exception as error:  # foreign code may raise any error
@@ -69,8 +69,7 @@ class Registry(Generic[T]):
 
     def names(self) -> list[str]:
         """Return the names of all parts, built-in parts first."""
-        offered = [entry.name for entry in _entries(self._group)]
-        return [*self.built_in, *sorted({*self._registered, *offered} - set(self.built_in))]
+        return [*self.built_in, *sorted({*self._registered, *_entries(self._group)} - set(self.built_in))]
 
 
 def load_parts(file: Path | str) -> None:
@@ -137,7 +136,7 @@ def digest() -> str:
         file = _find_file(source)
         about.update(_files.get(source) or (Path(file).read_bytes() if file else b""))
     for group, registry in sorted(_registries.items()):
-        offered = [(entry.name, entry.value, entry.dist and entry.dist.version) for entry in _entries(group)]
+        offered = [(entry.name, entry.value, entry.dist and entry.dist.version) for entry in _entries(group).values()]
         if registry.origins or offered:  # which other registries exist depends on the imported modules
             about.update(repr((group, sorted(registry.origins), offered)).encode())
     return about.hexdigest()[:12]
@@ -150,5 +149,5 @@ def _find_file(source: str) -> str | None:
 
 
 @lru_cache  # listing installed packages takes some milliseconds
-def _entries(group: str) -> Iterable[EntryPoint]:
-    return tuple(entry_points(group=group))
+def _entries(group: str) -> Mapping[str, EntryPoint]:
+    return {entry.name: entry for entry in entry_points(group=group)}

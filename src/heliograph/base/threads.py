@@ -18,20 +18,18 @@ class one_thread(ContextDecorator):  # noqa: N801 - used like a function, as tho
     _lock, _blocks, _limited = threading.Lock(), 0, list[tuple[Any, int]]()
 
     def __enter__(self) -> None:
-        of_all = one_thread
-        with of_all._lock:
-            if not of_all._blocks:
-                of_all._limited = [(library, count) for library in _libraries() if (count := library.num_threads) != 1]
-                for library, _ in of_all._limited:
+        with one_thread._lock:
+            if not one_thread._blocks:
+                one_thread._limited = [(lib, count) for lib in _libraries() if (count := lib.num_threads) != 1]
+                for library, _ in one_thread._limited:
                     _set_threads(library, 1)
-            of_all._blocks += 1
+            one_thread._blocks += 1
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        of_all = one_thread
-        with of_all._lock:
-            of_all._blocks -= 1
-            if not of_all._blocks:
-                for library, count in of_all._limited:
+        with one_thread._lock:
+            one_thread._blocks -= 1
+            if not one_thread._blocks:
+                for library, count in one_thread._limited:
                     _set_threads(library, count)
         # if machine code calls Python, Ctrl-C arrives as the cause of a SystemError
         cause: BaseException | None = error if isinstance(error, SystemError) else None

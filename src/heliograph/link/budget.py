@@ -25,7 +25,6 @@ import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import SettingsError, shown
-from heliograph.base.kernels import sample_cubic
 from heliograph.base.threads import one_thread
 from heliograph.channel.render import Canvas, add_array
 from heliograph.channel.scene import CameraPose, centre_scale, homography, project, square
@@ -36,6 +35,7 @@ from heliograph.link.settings import LinkSettings
 from heliograph.receive.decode.per_led import at_leds
 from heliograph.receive.detect.alternation import size_limits
 from heliograph.receive.geometry.footprint import footprints, to_quarters
+from heliograph.receive.geometry.kernels import sample_cubic
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import RIM_PX, window_around
 from heliograph.receive.observe.cutout import Noise

@@ -14,12 +14,12 @@ from scenes import SIDE, draw, drawn_film, film, levels, link, pitch_at, receive
 
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
-from heliograph.base.kernels import cubic_at_leds, sample_cubic
 from heliograph.link.settings import LinkSettings
 from heliograph.receive.decode.codeword import Decoding
 from heliograph.receive.decode.per_led import at_leds, decode_per_led, pair_luminances, unblurred
 from heliograph.receive.decode.per_quad import decode_per_quad
 from heliograph.receive.events import DecodeEvent, EqualiseEvent, ExtractEvent
+from heliograph.receive.geometry.kernels import cubic_at_leds, sample_cubic
 from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.geometry.window import CombinedFrame, window_around
 from heliograph.receive.observe.cutout import Cutout

@@ -12,13 +12,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from heliograph.base import kernels
 from heliograph.base.arrays import Floats
 from heliograph.base.frames import Frame
 from heliograph.channel.truth import ArrayTruth
 from heliograph.experiments import plots
 from heliograph.experiments.links import centred_link, film_at_rest
 from heliograph.experiments.report import Context, ExperimentResult, Finding, verdict_of
+from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.pose import Pose
 from heliograph.signal import haar
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from heliograph.base import kernels
 from heliograph.base.arrays import TINY, Floats
 from heliograph.receive.decode.codeword import Decoding, decode_packet
 from heliograph.receive.decode.combining import SoftBuffer
@@ -24,6 +23,7 @@ from heliograph.receive.decode.worker import Decoded
 from heliograph.receive.equalise.led_gains import LedGains
 from heliograph.receive.equalise.single_mode import DecisionDirectedTracker
 from heliograph.receive.events import ExtractEvent, Observer
+from heliograph.receive.geometry import kernels
 from heliograph.receive.geometry.footprint import footprints, image_of, to_grid
 from heliograph.receive.geometry.pose import Corner, Pose
 from heliograph.receive.geometry.window import AnyFrame, cut_out, window_around
