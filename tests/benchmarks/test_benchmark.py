@@ -191,6 +191,7 @@ def test_the_list_names_each_scenario(call: Call) -> None:
 
 @pytest.mark.parametrize(("options", "says"), [
     (["nowhere"], "unknown scenario 'nowhere'; there are small, full, near, far, fast"),
+    (["neer"], "unknown scenario 'neer'; did you mean 'near'?"),
     (["near", "--receiver", "plane"], "unknown receiver 'plane'; did you mean 'plain'?"),
     (["near", "--receiver", "plain", "--receiver", "plain"], "'receiver' has the value 'plain' twice"),
     (["--seed-file", "words.txt"], "words.txt holds no seed; write a whole number into it, or name a new file"),

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from importlib.resources import files
 from typing import Any
 
@@ -67,14 +68,12 @@ SCENARIOS: Mapping[str, Scenario] = {
     "static-150": Scenario("at rest, 150 m away", _at(150, {}), is_small=True),
     "static-220": Scenario("at rest, 220 m away", _at(220, {})),
     "drive": Scenario("80 m to 25 m at 30 km/h by day, road of class B", preset="paper", is_small=True),
-    "drive-night": Scenario("the drive by night, LEDs four times dimmer", preset="night", is_small=True),
+    "drive-night": Scenario("the drive by night, LEDs four times dimmer", preset="night"),
     "drive-street": Scenario("the drive in a drawn street", {"channel.background.kind": "street"}, "paper"),
     "drive-bumps": Scenario("the drive on a very rough road, class D", {"channel.road_class": "D"}, "paper"),
-    "drive-clock": Scenario(
-        "the drive, clocks of camera and array 100 ppm apart", {f"{ARRAY}clock_ppm": 100}, "paper", is_small=True
-    ),
+    "drive-clock": Scenario("the drive, clocks of camera and array 100 ppm apart", {f"{ARRAY}clock_ppm": 100}, "paper"),
     "drive-two": Scenario("the drive past two arrays", preset="two-arrays"),
-    "motorway": Scenario("120 m to 25 m at 100 km/h, road of class A", preset="motorway", is_small=True),
+    "motorway": Scenario("120 m to 25 m at 100 km/h, road of class A", preset="motorway"),
     "motorway-360": Scenario("120 m to 25 m at 360 km/h", {"channel.speed_m_s": 100}, "motorway"),
     "crossing": Scenario("a camera passes a turned array, 25 m away, at 25 km/h", preset="crossing", is_small=True),
     # lateral motion of 3.5 m in 3 s by a polynomial of degree 5, 5 m/s faster than the camera
@@ -93,7 +92,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "rate-1.3": Scenario("60 m, free-running camera, 1.3 frames per pattern", _camera(1300)),
     "rate-2": Scenario("60 m, free-running camera, 2 frames per pattern", _camera(2000), is_small=True),
     "rate-4": Scenario("60 m, free-running camera, 4 frames per pattern", _camera(4000)),
-    "drops": Scenario("60 m, 2 % of the frames lost", _at(60, {"channel.camera.dropped": 0.02}), is_small=True),
+    "drops": Scenario("60 m, 2 % of the frames lost", _at(60, {"channel.camera.dropped": 0.02})),
     "drops-unnumbered": Scenario(
         "the same, without gaps in frame numbers and times",
         _at(60, {"channel.camera.dropped": 0.02, "channel.camera.gaps": False}),
@@ -109,7 +108,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "fog-200": Scenario("60 m, fog of 200 m visibility", _at(60, {"channel.weather.visibility_m": 200})),
     "fog-100": Scenario("60 m, fog of 100 m visibility", _at(60, {"channel.weather.visibility_m": 100}), is_small=True),
     "rain": Scenario("60 m, rain of 50 mm/h on the windscreen", _at(60, {"channel.weather.rain_mm_h": 50})),
-    "glare": Scenario("60 m, low sun", _at(60, {"channel.weather.glare": 0.3}), is_small=True),
+    "glare": Scenario("60 m, low sun", _at(60, {"channel.weather.glare": 0.3})),
     "six-arrays": Scenario(
         "six arrays, 55 m away", _at(55, {"channel.arrays": _PLACES, "transmit.identities": [3, 8, 12, 17, 21, 26]})
     ),
@@ -125,7 +124,10 @@ def choose_scenarios(names: Iterable[str]) -> dict[str, Scenario]:
     chosen = dict[str, Scenario]()
     for name in names:
         if name not in {**sets, **SCENARIOS}:
-            raise SettingsError(f"unknown scenario '{brief(name)}'; there are {', '.join([*sets, *SCENARIOS])}")
+            known = [*sets, *SCENARIOS]
+            close = get_close_matches(str(name), known, 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(known)}"
+            raise SettingsError(f"unknown scenario '{brief(name)}'; {hint}")
         chosen |= {member: SCENARIOS[member] for member in sets.get(name, [name])}
     if not chosen:
         raise SettingsError('the benchmark needs a scenario; "small" and "full" are sets')

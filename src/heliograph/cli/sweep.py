@@ -58,8 +58,10 @@ def count_and_show(
         with bar(len(tallies)) as progress:
             count(tallies, output, crew.workers, crew.scheduler, progress)
     except KeyboardInterrupt:
-        show()
-        kept = f"; {output} holds the results so far" if output else ""
+        kept = ""
+        if any(tally.blocks for tally in tallies):
+            show()
+            kept = f"; {output} holds the results so far" if output else ""
         complete = sum(tally.done for tally in tallies)
         console.exit_interrupted(f"interrupted with {complete} of {len(tallies)} points complete{kept}")
     except (HeliographError, OSError, MemoryError):
