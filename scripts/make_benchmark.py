@@ -63,8 +63,8 @@ def range_rows(tallies: Sequence[PointTally]) -> Iterator[Sequence[str]]:
     found = ranges(tallies)
     for receiver in dict.fromkeys(receiver for receiver, _ in found):
         ends = [tuple(map(metres, found[receiver, layer])) for layer in LAYERS]
-        own = [tally.machine_times["frame_ms"] for tally in tallies if tally.point.choice["receiver"] == receiver]
-        times = [value for value in own if value is not None]
+        measured = [tally.machine_times["frame_ms"] for tally in tallies if tally.point.choice["receiver"] == receiver]
+        times = [value for value in measured if value is not None]
         if times:
             texts = [f"{at} ({low} to {high})" for at, low, high in ends]
             yield [f"`{receiver}`", *texts, f"{statistics.median(times):.2g}"]

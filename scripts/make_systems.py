@@ -24,7 +24,7 @@ PACKETS = 6  # single packets without inverses at each distance
 
 HEAD = """# Published systems
 
-Systems of other publications beside the receiver "soft" in the reference link, simulated. `read` says whether the
+Published systems compared with the simulated receiver "soft" in the reference link. `read` states whether the
 numbers come from a paper's text, its abstract, or a citation. Empty cells are not stated there.
 `scripts/make_systems.py` makes this page from [published-systems.csv](published-systems.csv).
 

@@ -110,7 +110,7 @@ def test_distances_of_one_link_have_one_range() -> None:
     assert all(a.here >= b.here for a, b in zip(near, far, strict=True))
 
 
-@pytest.mark.parametrize(("light", "channel", "says"), [
+@pytest.mark.parametrize(("light", "channel", "message"), [
     ({"candela": 20.0}, {}, "the array saturates, 18 full scales with every LED on: close the lens to f/52"),
     ({"candela": 0.01}, {}, "too dim to be detected, 0.009 of full scale"),
     ({}, {"camera": {"fps": 500.0}}, "500 frames/s are fewer than the 1000 patterns a second"),
@@ -119,21 +119,21 @@ def test_distances_of_one_link_have_one_range() -> None:
     ({}, {"distance_m": 5.0}, "at 5 m the array is not in the picture: +875, -583 px from the centre"),
 ])  # fmt: skip
 @pytest.mark.slow
-def test_obstacles_of_a_budget_are_reported(light: dict[str, Any], channel: dict[str, Any], says: str) -> None:
+def test_obstacles_of_a_budget_are_reported(light: dict[str, Any], channel: dict[str, Any], message: str) -> None:
     found = heliograph.budget(small(**channel), heliograph.LightSettings(**light))
-    assert any(says in note for note in found.notes), found.notes
-    assert bool(found.layers) == ("saturates" not in says)
+    assert any(message in note for note in found.notes), found.notes
+    assert bool(found.layers) == ("saturates" not in message)
 
 
-@pytest.mark.parametrize(("arguments", "says"), [
+@pytest.mark.parametrize(("arguments", "message"), [
     ((None,), "a budget is of heliograph.load_settings(...), not NoneType"),
     ((load_settings(), 3), "light is a heliograph.LightSettings, not 3"),
     ((small(distance_m=3.0, arrays=({"z_offset_m": -4.0, "vz_m_s": 9.0},)),), "1 m behind the camera"),
 ])  # fmt: skip
-def test_invalid_link_is_reported_in_one_line(arguments: Any, says: str) -> None:
+def test_invalid_link_is_reported_in_one_line(arguments: Any, message: str) -> None:
     with pytest.raises(SettingsError) as caught:
         heliograph.budget(*arguments)
-    assert says in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(("receiver", "share", "is_found"), [

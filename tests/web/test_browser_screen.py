@@ -334,11 +334,11 @@ def test_a_file_dropped_anywhere_is_taken(chromium: Browser, address: str, page_
 def test_empty_and_large_files_are_refused_in_the_page(chromium: Browser, address: str, tmp_path: Path) -> None:
     with transmit_page(chromium, address) as page:
         page.check("input[value=file]")
-        for name, size, says in (("empty.txt", 0, "is empty"), ("large.bin", 400_000, "at most 256 kB")):
+        for name, size, message in (("empty.txt", 0, "is empty"), ("large.bin", 400_000, "at most 256 kB")):
             (path := tmp_path / name).write_bytes(bytes(size))
             page.set_input_files("#file", path)
             page.click("#send")
-            expect(page.locator(".notice.bad")).to_contain_text(says)
+            expect(page.locator(".notice.bad")).to_contain_text(message)
 
 
 def test_frames_of_a_still_film_are_saved_by_a_button(chromium: Browser, address: str, tmp_path: Path) -> None:

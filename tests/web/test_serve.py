@@ -116,50 +116,50 @@ def other_address(monkeypatch: pytest.MonkeyPatch) -> str:
 
 
 def test_server_opens_to_the_network_on_request_and_closes_again(other_address: str) -> None:
-    with serving() as own:
-        other = own.replace("127.0.0.1", other_address)
+    with serving() as address:
+        other = address.replace("127.0.0.1", other_address)
         phone, sources = "api/transmit/phone", f"{other}api/watch/sources"
         assert ask(sources)[0] == 0
-        assert ask(own + phone)[1] == {"url": "", "code": "", "opens": True}
-        status, opened = ask(own + phone, "PUT")
+        assert ask(address + phone)[1] == {"url": "", "code": "", "opens": True}
+        status, opened = ask(address + phone, "PUT")
         page, _, token = opened["url"].partition("#token=")
         assert (status, page, len(token) >= 20) == (200, f"{other}receive", True)
-        assert ask(own + phone, "PUT")[1]["url"] == opened["url"]
+        assert ask(address + phone, "PUT")[1]["url"] == opened["url"]
         bearer = f"Bearer {token}"
         assert ask(sources)[0] == 401
         assert ask(sources, authorization="Bearer x")[0] == 401
-        assert ask(sources, authorization=bearer, origin=own.rstrip("/"))[0] == 403
+        assert ask(sources, authorization=bearer, origin=address.rstrip("/"))[0] == 403
         assert ask(sources, authorization=bearer, host="evil.example")[0] == 421
         assert ask(sources, authorization=bearer)[0] == 200
-        port = int(own.rpartition(":")[2].strip("/"))
+        port = int(address.rpartition(":")[2].strip("/"))
         with socket.create_connection((other_address, port)) as held:
-            assert ask(own + phone, "DELETE")[1]["url"] == ""
+            assert ask(address + phone, "DELETE")[1]["url"] == ""
             held.settimeout(HANG_S)
             assert held.recv(1) == b""
         assert ask(sources, authorization=bearer)[0] == 0
-        again = ask(own + phone, "PUT")[1]["url"]
+        again = ask(address + phone, "PUT")[1]["url"]
         assert again.partition("#")[0] == page
         assert token not in again
     assert ask(sources, authorization=bearer)[0] == 0
 
 
 def test_only_pages_of_this_machine_open_and_close_the_network(other_address: str) -> None:
-    with serving() as own:
+    with serving() as address:
         phone = "api/transmit/phone"
         foreign = {"origin": f"http://{other_address}:1"}, {"sec_fetch_site": "cross-site"}, {"host": "evil.example"}
-        assert [ask(own + phone, "PUT", **headers)[0] for headers in foreign] == [403, 403, 421]
-        assert ask(own + phone)[1]["url"] == ""
-        url = ask(own + phone, "PUT")[1]["url"]
+        assert [ask(address + phone, "PUT", **headers)[0] for headers in foreign] == [403, 403, 421]
+        assert ask(address + phone)[1]["url"] == ""
+        url = ask(address + phone, "PUT")[1]["url"]
         page, _, token = url.partition("receive#token=")
         answer = ask(page + phone, authorization=f"Bearer {token}")[1]
         assert (answer["url"], answer["opens"]) == (url, False)
         for method in ("PUT", "DELETE"):
             assert ask(page + phone, method, authorization=f"Bearer {token}")[0] == 403
-        assert ask(own + phone)[1]["url"] == url
+        assert ask(address + phone)[1]["url"] == url
 
 
 def test_machine_without_a_network_is_reported_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("heliograph.web.serve._local_address", lambda: "127.0.0.1")
-    with serving() as own:
-        status, said = ask(f"{own}api/transmit/phone", "PUT")
+    with serving() as address:
+        status, said = ask(f"{address}api/transmit/phone", "PUT")
     assert (status, said["error"][:36]) == (400, "this machine has no network address:")
