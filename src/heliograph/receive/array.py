@@ -135,7 +135,7 @@ class ArrayReceiver:
         pose = self._view.pose_out(self._track.state.pose_at(detection.time_s))
         error_px = rim_distance(pose, detection.fit.pose, self._signal.side)
         # beyond half a pitch LEDs are mistaken for neighbours
-        return bool(detection.is_clear and (detection.led_gains == 1).all() and error_px > 0.5 * pose.pitch)
+        return bool(detection.is_clear and detection.led_gains.all() and error_px > 0.5 * pose.pitch)
 
     def push(self, frame: Frame) -> Iterator[PendingPacket]:
         """Take the next frame; yield the packet it completes."""
@@ -287,7 +287,7 @@ class ArrayReceiver:
     @property
     def _all_visible(self) -> bool:
         """True if no LED seems hidden or dark."""
-        return bool((self._track.shining == 1).all())
+        return bool(self._track.shining.all())
 
     def _is_certain(self, packet: Packet, observations: PacketObservations) -> bool:
         """Return True if tracking may continue without waiting for the packet to decode."""
