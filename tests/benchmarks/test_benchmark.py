@@ -189,6 +189,12 @@ def test_the_list_names_each_scenario(call: Call) -> None:
     assert [line.split() for line in lines] == [["near", "small", "near"], ["far", "small", "far"], ["fast", "fast"]]
 
 
+def test_an_error_of_a_loaded_receiver_has_its_file_and_line(tmp_path: Path, call: Call) -> None:
+    (tmp_path / "blind.py").write_text(BLIND.replace("leds[0, ..., 0] * 0", "pattern[5000]"))
+    message = failed(call("--load", "blind.py", "benchmark", "near", "--receiver", "blind", "--workers", "1"))
+    assert "a worker failed with IndexError in blind.py, line 6: index 5000 is out of bounds" in message
+
+
 @pytest.mark.parametrize(("options", "says"), [
     (["nowhere"], "unknown scenario 'nowhere'; there are small, full, near, far, fast"),
     (["neer"], "unknown scenario 'neer'; did you mean 'near'?"),

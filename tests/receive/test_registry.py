@@ -191,5 +191,5 @@ def test_packets_are_those_of_plain(frames: list[Frame], in_background: bool) ->
 
 @pytest.mark.slow
 def test_a_wrong_shape_is_named(frames: list[Frame]) -> None:
-    with pytest.raises(HeliographError, match=r"Wrong\.luminances returns 16 x 16 finite numbers"):
+    with pytest.raises(HeliographError, match=r"Wrong\.luminances must return 16 x 16 finite numbers"):
         list(receive_frames(frames, LINK.signal, ReceiveSettings(receiver="wrong")))

@@ -36,6 +36,6 @@ def draw(tallies: Sequence[PointTally]) -> Figure:
             axes.errorbar(rate, row + offset, xerr=(rate - low, high - rate), label=label_of(receiver), **style)
         axes.set(xlim=(-0.03, 1.03), xlabel="codeword error rate", title=f"{layer} layer")
         axes.set_yticks(range(len(scenarios)), scenarios)
-    axes.invert_yaxis()
+    axes.set_ylim(len(scenarios) - 0.5, -0.5)
     legend_below(figure)
     return figure

@@ -76,7 +76,7 @@ class LuminanceReceiver(ABC):
         values: Any = np.asarray(self.luminances(pattern, inverse, leds), np.float64)
         if values.shape != (side, side) or not np.isfinite(values).all():
             raise HeliographError(
-                f"{type(self).__name__}.luminances returns {side} x {side} finite numbers, not an array of shape "
+                f"{type(self).__name__}.luminances must return {side} x {side} finite numbers, not an array of shape "
                 f"{values.shape}{'' if np.isfinite(values).all() else ' with values that are not finite'}"
             )
         return values

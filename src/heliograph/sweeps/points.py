@@ -3,6 +3,7 @@
 import hashlib
 import json
 import time
+import traceback
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache, lru_cache
@@ -99,6 +100,10 @@ def run_job(work: Mapping[str, Any]) -> dict[str, Any]:
         counts = run_block(settings, work["seed"], Recordings(**recordings))
     except HeliographError as error:
         refusal = str(error)
+    except Exception as error:  # of a registered receiver
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        error.add_note(f"{Path(last.filename).name}, line {last.lineno}")
+        raise
     seconds = time.perf_counter() - began
     return {"counts": counts.to_plain(), "refusal": refusal, "seconds": seconds, "version": build()}
 

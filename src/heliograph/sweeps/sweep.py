@@ -85,8 +85,10 @@ def _collect(future: Future[dict[str, Any]], tally: PointTally, block: int, stor
     except HeliographError as error:
         raise HeliographError(f"{tally.point.text}: {error}") from None
     except Exception as error:  # any failure of a worker
-        reason = " ".join(str(error).split())[:200]
-        raise HeliographError(f"{tally.point.text}: a worker failed with {type(error).__name__}: {reason}") from error
+        reason, where = " ".join(str(error).split())[:200], "".join(f" in {x}" for x in getattr(error, "__notes__", ()))
+        raise HeliographError(
+            f"{tally.point.text}: a worker failed with {type(error).__name__}{where}: {reason}"
+        ) from error
     if result["version"] != build():
         raise HeliographError(f"a worker has heliograph {result['version']}, not {build()}; install the same on all")
     if refusal := result["refusal"]:
