@@ -3,6 +3,7 @@
 import json
 import shutil
 import signal
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from cli_runs import SMALL, failed, grown, interrupted, interrupted_at, lasting, names, succeeded, within
 from faulty_films import KeptFilm, film, link, write
 
+from heliograph.cli import main
 from heliograph.link.truth import open_truth
 from heliograph.media import open_film
 
@@ -106,3 +108,18 @@ def test_probe_shows_the_findings_so_far(tmp_path: Path) -> None:
     run = interrupted_at(tmp_path, "probe", "long.h5", title="probing", step=120)
     assert "interrupted after 120 frames; the findings so far are above" in failed(run, INTERRUPTED)
     assert "long.h5: 120 frames" in run.stdout
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be held")
+def test_imports_end_before_ctrl_c_takes_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = list[str]()
+
+    def import_interrupted(name: str) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        names.append(name)
+        return import_module(name)
+
+    monkeypatch.setattr(main, "import_module", import_interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        main.load_command("presets")
+    assert names == ["heliograph.cli.presets"]

@@ -1,9 +1,11 @@
 """Entry point of the command `heliograph`."""
 
+import contextlib
 import io
 import os
 import signal
 import sys
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -46,7 +48,21 @@ class LazyGroup(typer.core.TyperGroup):
 
 def load_command(name: str) -> Any:
     """Import the module of a command, and return the command."""
-    return typer.main.get_command(getattr(import_module(f"heliograph.cli.{name}"), name))
+    with _ctrl_c_held():
+        return typer.main.get_command(getattr(import_module(f"heliograph.cli.{name}"), name))
+
+
+@contextlib.contextmanager
+def _ctrl_c_held() -> Iterator[None]:
+    """Delay Ctrl-C: machine code that calls Python, such as that of pydantic, may lose the exception."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 app = typer.Typer(cls=LazyGroup, rich_markup_mode=None, pretty_exceptions_enable=False)
