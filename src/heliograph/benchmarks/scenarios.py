@@ -65,7 +65,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "static-60": Scenario("at rest, 60 m away", _at(60, {}), is_small=True),
     "static-80": Scenario("at rest, 80 m away", _at(80, {}), is_small=True),
     "static-105": Scenario("at rest, 105 m away", _at(105, {}), is_small=True),
-    "static-150": Scenario("at rest, 150 m away", _at(150, {}), is_small=True),
+    "static-150": Scenario("at rest, 150 m away", _at(150, {})),
     "static-220": Scenario("at rest, 220 m away", _at(220, {})),
     "drive": Scenario("80 m to 25 m at 30 km/h by day, road of class B", preset="paper", is_small=True),
     "drive-night": Scenario("the drive by night, LEDs four times dimmer", preset="night"),
@@ -75,7 +75,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "drive-two": Scenario("the drive past two arrays", preset="two-arrays"),
     "motorway": Scenario("120 m to 25 m at 100 km/h, road of class A", preset="motorway"),
     "motorway-360": Scenario("120 m to 25 m at 360 km/h", {"channel.speed_m_s": 100}, "motorway"),
-    "crossing": Scenario("a camera passes a turned array, 25 m away, at 25 km/h", preset="crossing", is_small=True),
+    "crossing": Scenario("a camera passes a turned array, 25 m away, at 25 km/h", preset="crossing"),
     # lateral motion of 3.5 m in 3 s by a polynomial of degree 5, 5 m/s faster than the camera
     "lane-change": Scenario(
         "an array of 0.32 m on a vehicle that changes lane, 32 m to 47 m ahead at 100 km/h",
