@@ -13,10 +13,10 @@ from heliograph.benchmarks.benchmark import plan_benchmark
 from heliograph.benchmarks.figure import draw
 from heliograph.channel.truth import KnownChannel, Truth
 from heliograph.measure.bench import run_block
-from heliograph.measure.counts import BlockCounts
+from heliograph.measure.counts import BlockCounts, LayerCounts
 from heliograph.receive.registry import RECEIVERS, ReceiverPart
 from heliograph.receive.settings import ReceiveSettings
-from heliograph.signal.settings import SignalSettings
+from heliograph.signal.settings import LAYERS, SignalSettings
 
 GENIES = ["genie-zero-forcing", "genie-mmse"]
 
@@ -68,7 +68,11 @@ def test_the_default_of_the_benchmark_has_no_bounds_and_the_figure_marks_them() 
     names = [tally.point.choice["receiver"] for tally in plan_benchmark(["static-60"], None, 0, 1)]
     assert {"plain", "mmse", "soft"} <= set(names)
     assert not set(names) & set(GENIES)
-    figure = draw(plan_benchmark(["static-60"], ["mmse", *GENIES], 0, 1))
+    tallies = plan_benchmark(["static-60"], ["mmse", *GENIES], 0, 1)
+    for tally in tallies:
+        counts = LayerCounts.of_missed(1)
+        tally.add(0, BlockCounts(layers=dict.fromkeys(LAYERS, counts)), seconds=1.0)
+    figure = draw(tallies)
     labels = figure.axes[0].get_legend_handles_labels()[1]
     assert labels == ["mmse", "genie-zero-forcing (bound)", "genie-mmse (bound)"]
 
