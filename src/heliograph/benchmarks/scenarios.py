@@ -88,7 +88,7 @@ SCENARIOS: Mapping[str, Scenario] = {
         _behind("platoon-leader", {"channel.trajectory": _trajectory("platoon-follower"), "channel.duration_s": 4}),
         "motorway",
     ),
-    "phase": Scenario("60 m, frames half a pattern late", _at(60, {f"{ARRAY}start_s": 0.5e-3}), is_small=True),
+    "phase": Scenario("60 m, frames half a pattern late", _at(60, {f"{ARRAY}start_s": 0.5e-3})),
     "rate-1.3": Scenario("60 m, free-running camera, 1.3 frames per pattern", _camera(1300)),
     "rate-2": Scenario("60 m, free-running camera, 2 frames per pattern", _camera(2000), is_small=True),
     "rate-4": Scenario("60 m, free-running camera, 4 frames per pattern", _camera(4000)),
