@@ -33,7 +33,7 @@ All receivers read the same films: public split of benchmark {benchmark}, heliog
 heliograph benchmark full --codewords {codewords} --output results
 ```
 
-Duration: {duration}. {frames:,} frames, {words:,} codewords; {false} accepted codewords were never sent.
+Duration: {duration}. {frames:,} frames, {words:,} codewords; {false} undetected errors.
 
 ## Range
 
