@@ -181,12 +181,12 @@ def frames() -> list[Frame]:
 @pytest.mark.parametrize("in_background", [False, True])
 def test_packets_are_those_of_plain(frames: list[Frame], in_background: bool) -> None:
     settings = ReceiveSettings(receiver="sampled", decode={"in_background": in_background})  # type: ignore[arg-type]
-    own, plain = (
+    custom, plain = (
         [(p.status, p.identity, p.start_time_s, p.has_codeword) for p in receive_frames(frames, LINK.signal, one)]
         for one in (settings, ReceiveSettings(receiver="plain"))
     )
-    assert own == plain
-    assert own[0][-1]
+    assert custom == plain
+    assert custom[0][-1]
 
 
 @pytest.mark.slow

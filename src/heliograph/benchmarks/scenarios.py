@@ -102,7 +102,7 @@ SCENARIOS: Mapping[str, Scenario] = {
     "hidden": Scenario("60 m, a quarter of the array hidden", _at(60, {f"{ARRAY}hidden": [0, 0, 0.5, 0.5]})),
     "clutter": Scenario("60 m, before a street of many lamps", _at(60, {"channel.background.kind": "synthetic"})),
     "flicker": Scenario(
-        "60 m, light of the whole image varies by 30 % at 10 Hz",
+        "60 m, light of the image varies by 30 % at 10 Hz",
         _at(60, {"channel.camera.gain_swing": 0.3, "channel.camera.gain_period_s": 0.1}),
     ),
     "fog-200": Scenario("60 m, fog of 200 m visibility", _at(60, {"channel.weather.visibility_m": 200})),

@@ -162,8 +162,8 @@ def separations(
     starts: Floats, exposure: float, slots: Floats
 ) -> Iterator[tuple[int, NDArray[np.intp], NDArray[np.float64]]]:
     """Yield the number, the frames and the weights of each pattern."""
-    whole, covariance = np.floor(starts).astype(int), tuple(map(tuple, slots.tolist()))
-    for number in np.union1d(whole, whole + 1).tolist():
+    floors, covariance = np.floor(starts).astype(int), tuple(map(tuple, slots.tolist()))
+    for number in np.union1d(floors, floors + 1).tolist():
         near = np.flatnonzero(np.abs(starts - number) < PARAMETERS.reach)
         times = tuple((starts[near] - number).round(2).tolist())
         weights = _weights(times, round(exposure, 2), number % 2, covariance)

@@ -120,7 +120,7 @@ class OversamplingReceiver:
         if self._selected is not None:
             frames = sample.index - self._selected.index
             steps = max(frames // 2, 1)
-            # after another selection half a step is a whole one
+            # after another selection half a step is a full step
             self._shift_s += (2 * steps - frames) * 0.5 * self._period_s
         self._selected, self._index = sample, self._index + steps
         yield from self._receiver.push(replace(sample, index=self._index, time_s=sample.time_s + self._shift_s))

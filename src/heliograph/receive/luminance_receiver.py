@@ -1,4 +1,4 @@
-"""Base class of receivers that read the luminances of LEDs by a method of their own."""
+"""Base class of receivers with another method for the luminances of LEDs."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
