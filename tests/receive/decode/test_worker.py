@@ -3,12 +3,14 @@
 import itertools
 import os
 import pickle
+import sys
 import threading
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -17,6 +19,7 @@ from recorder import Recorder
 from scenes import SIDE, comparable, film, link, received, statuses
 from waiting import HANG_S
 
+from heliograph.base import registry
 from heliograph.base.errors import HeliographError
 from heliograph.base.frames import Frame
 from heliograph.link.settings import LinkSettings
@@ -30,6 +33,7 @@ from heliograph.receive.equalise.led_gains import LedGains, update_brightness
 from heliograph.receive.events import ignore
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.receive.packet import Packet
+from heliograph.receive.registry import RECEIVERS
 from heliograph.signal.packet import PacketFormat
 from heliograph.signal.settings import SignalSettings
 
@@ -301,3 +305,32 @@ def test_worker_process_that_died_is_reported_and_restarted() -> None:
     with pytest.raises(HeliographError, match=r"^the process that decodes packets has ended.*in_background = false"):
         lost.packet()
     assert statuses(received(frames, settings)) == ["ok"]
+
+
+@pytest.mark.slow
+def test_worker_process_keeps_each_decoder_as_long_as_its_receiver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def in_worker(expression: str) -> Any:
+        return worker.call_in_process(eval, expression).result(HANG_S)
+
+    def kept() -> Any:
+        return in_worker("set(__import__('sys').modules['heliograph.receive.decode.worker']._local_decoders)")
+
+    monkeypatch.setattr(registry, "_files", {})
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    monkeypatch.setattr(RECEIVERS, "_registered", RECEIVERS._registered.copy())
+    monkeypatch.setattr(RECEIVERS, "origins", RECEIVERS.origins.copy())
+    decoders = [PacketDecoder() for _ in range(40)]
+    for decoder in decoders:
+        assert worker.call_in_process(decoder.learn, KEY).result(HANG_S) is None
+    process, names = in_worker("__import__('os').getpid()"), {decoder._name for decoder in decoders}
+    assert names <= kept()
+    # a part registered while they receive
+    (tmp_path / "parts.py").write_text("import heliograph\nheliograph.register_receiver('none', lambda *_: None)\n")
+    registry.load_parts(tmp_path / "parts.py")
+    assert in_worker("__import__('heliograph.receive.registry', fromlist=['']).RECEIVERS.check('none')") == "none"
+    assert in_worker("__import__('os').getpid()") == process
+    assert names <= kept()
+    del decoders, decoder
+    assert not names & kept()

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -9,12 +10,13 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
+from weakref import finalize
 
 import numpy as np
 
 from heliograph.base.arrays import Floats
 from heliograph.base.errors import HeliographError
-from heliograph.base.registry import registered
+from heliograph.base.registry import register_again, registered
 from heliograph.base.workers import worker_environment, worker_processes
 from heliograph.receive.decode.codeword import unread
 from heliograph.receive.decode.combining import SoftBuffer
@@ -146,6 +148,8 @@ class PacketDecoder:
 
     def __init__(self, name: str | None = None):
         self._name = name or uuid4().hex
+        if name is None:
+            finalize(self, _ended.append, self._name)
         self._led_gains: dict[ArrayKey, LedGains] = {}
         # by identity, not by array: after a loss and a new detection the carousel goes on
         self._buffers: dict[tuple[int, Orientation], SoftBuffer] = {}
@@ -181,10 +185,17 @@ class PacketDecoder:
         return led_gains and _remember(self._led_gains, array, led_gains, MAX_ARRAYS).without_evidence
 
 
-@lru_cache(maxsize=4)
+_ended = deque[str]()  # names of decoders that this process no longer holds
+_local_decoders: dict[str, PacketDecoder] = {}  # by name, of decoders that another process holds
+
+
 def _local_decoder(name: str) -> PacketDecoder:
-    """Decoder in this process for a pickled decoder, one for each of the last receivers."""
-    return PacketDecoder(name)
+    """Decoder in this process for a pickled decoder."""
+    return _local_decoders.setdefault(name, PacketDecoder(name))
+
+
+def _forget(name: str) -> None:
+    _local_decoders.pop(name, None)
 
 
 def _remember(recent: dict[Key, Value], key: Key, value: Value, count: int) -> Value:
@@ -228,16 +239,30 @@ def call_in_process(call: Callable[..., Result], /, *args: Any) -> Future[Result
     """
     with worker_environment():
         try:
-            return _process(registered()).submit(call, *args)
+            return _submit(call, *args)
         except BrokenProcessPool:
             _process.cache_clear()
-            return _process(registered()).submit(call, *args)
+            return _submit(call, *args)
+
+
+def _submit(call: Callable[..., Result], /, *args: Any) -> Future[Result]:
+    process = _process()
+    _register(process, registered())
+    while _ended:
+        process.submit(_forget, _ended.popleft())
+    return process.submit(call, *args)
 
 
 @lru_cache(maxsize=1)
-def _process(_parts: tuple[str, ...]) -> ProcessPoolExecutor:
-    """Worker process with the registered parts."""
+def _process() -> ProcessPoolExecutor:
+    """Worker process of all receivers."""
     return worker_processes(1)
+
+
+@lru_cache(maxsize=1)
+def _register(process: ProcessPoolExecutor, parts: tuple[str, ...]) -> None:
+    """Register parts in the worker process, once after each change."""
+    process.submit(register_again, parts)
 
 
 @dataclass(eq=False)
