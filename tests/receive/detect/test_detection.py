@@ -5,7 +5,7 @@ import pytest
 
 from heliograph.base.frames import Frame
 from heliograph.receive.detect.detection import headers
-from heliograph.receive.detect.frame_window import copies_before, crop_to_common, fill_missing
+from heliograph.receive.detect.frame_window import FrameWindowBuffer, crop_to_common, fill_missing
 from heliograph.receive.geometry.pose import ORIENTATIONS, UPRIGHT, Orientation
 from heliograph.signal.header import header_cells
 
@@ -78,10 +78,10 @@ def test_frames_are_cropped_to_the_common_part_and_gaps_stay() -> None:
     assert all(one is None or np.array_equal(one.pixels, frame(0, 3, 2, 3, 5).pixels) for one in cut)
 
 
-def test_copies_before_a_film_have_earlier_numbers_and_times() -> None:
-    first = frame(5, 0, 0, 4, 4)
-    copies = copies_before(first, 3)
-    assert [(one.index, one.pixels is first.pixels) for one in copies] == [(2, True), (3, True), (4, True)]
-    # years apart
-    assert np.diff([one.time_s for one in [*copies, first]]).min() > 3e7
-    assert copies_before(first, 0) == []
+def test_copies_stand_for_the_frames_before_a_film() -> None:
+    buffer, header = FrameWindowBuffer(16, 100), range(16)
+    windows = [window for k in (*header, *range(16, 22)) for window, _ in buffer.push(frame(5 + k, 0, 0, 4, 4))]
+    # every window begins with a pattern of an even number, the first with copies of the film's first frame
+    starts = [[one and (one.index, one.time_s) for one in window[:3]] for window in windows]
+    assert starts[0] == [(3, 0.005), (4, 0.005), (5, 0.005)]
+    assert starts[1:] == [[(k, 1e-3 * k) for k in (first, first + 1, first + 2)] for first in (5, 7)]

@@ -59,11 +59,6 @@ def crop_to_common(slots: FrameWindow) -> list[Frame | None]:
     return [None if frame is None else next(cropped) for frame in slots]
 
 
-def copies_before(frame: Frame, count: int) -> list[Frame]:
-    """Return copies of a frame with earlier numbers, and times 30 years apart, unlike any film."""
-    return [replace(frame, index=frame.index - k, time_s=frame.time_s - 1e9 * k) for k in range(count, 0, -1)]
-
-
 def first_present(slots: FrameWindow) -> Frame:
     """Return the first present frame."""
     return next(frame for frame in slots if frame is not None)
@@ -85,8 +80,8 @@ class FrameWindowBuffer:
             self._frames.clear()
         if not self._frames:
             lost = self._searches = 0
-            # a header may begin with the first frame: copies stand for the frames before
-            self._frames.extend(copies_before(frame, SLACK))
+            # a header may begin with the first frame: copies, which do not alternate, stand for the frames before
+            self._frames.extend(replace(frame, index=frame.index - k) for k in range(SLACK, 0, -1))
         windows = list[tuple[FrameWindow, bool]]()
         for slot in [*([None] * lost), frame]:
             self._frames.append(slot)
