@@ -33,7 +33,10 @@ def predict(other: KalmanFilter, dt: float, period_s: float) -> None:
         other.Q[np.ix_([k, 5 + k], [k, 5 + k])] = Q_continuous_white_noise(2, dt, density)
     walks = np.array([ROLL_WALK, BLUR_WALK, *SUM_WALKS])
     other.Q[[3, 4, 8, 9], [3, 4, 8, 9]] = walks**2 * dt / (WALK_PATTERNS * period_s)
+    # the closing speed is constant: Z = Z_0 - v t, ln pitch = const - ln Z, and the rate v / Z rises by its square
+    rise = dt * other.x[7, 0] ** 2
     other.predict()
+    other.x[[2, 7], 0] += np.array([0.5 * dt, 1.0]) * rise
 
 
 def updated(state: PoseState, z: Floats, noise: Floats, observation: Observation = POSE) -> PoseState:
@@ -84,6 +87,16 @@ def test_a_sum_shows_the_pose_late_and_with_a_bias() -> None:
     # headers have no bias
     assert moving.expected(kalman.HEADER_OBSERVATION)[0] == pytest.approx(mean[:5])
     assert moving.pose_at(1e-3).vector() == pytest.approx([50.3, 39.85, 0.1004, 0.02, -0.6])
+
+
+def test_the_size_grows_as_at_a_constant_speed() -> None:
+    depth_m, speed_m_s = 50.0, 100.0
+    mean = np.zeros(10)
+    mean[2], mean[7] = -np.log(depth_m), speed_m_s / depth_m
+    state = PoseState(0.0, mean, 1e-6 * np.eye(10))
+    for step in range(1, 151):
+        state = state.predict(0.002 * step, MODEL)
+    assert 1 / state.pose.pitch == pytest.approx(20.0, rel=2e-3)
 
 
 def test_the_tilt_is_separate_and_grows_uncertain() -> None:

@@ -1,4 +1,4 @@
-"""Kalman filter of the pose of an array in the image, with constant velocity.
+"""Kalman filter of the pose of an array in the image, at constant velocity in the image and constant closing speed.
 
 Times are in seconds, but spreads are per pattern: the motion from pattern to pattern scales with the pattern period.
 """

@@ -67,10 +67,7 @@ def fit_with_all_errors(track: Track, packet_s: float) -> Fit:
     errors = position_px, position_px, *(unequal / resolution * np.array(PARAMETERS.shape_errors))
     covariance += np.diag(errors) ** 2
     covariance[2, 2] += (PARAMETERS.uncertain_packets * packet_s) ** 2 * state.covariance[7, 7]
-    vector = pose.full_vector()
-    # at a constant speed v the rate r = v / Z of ln pitch rises by r^2 per second
-    vector[2] += 0.5 * (PARAMETERS.response_packets * packet_s * state.mean[7]) ** 2
-    return Fit(vector, covariance)
+    return Fit(pose.full_vector(), covariance)
 
 
 def _squared_tilts(mean: Floats, covariance: Floats) -> tuple[Any, Floats]:

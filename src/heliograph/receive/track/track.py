@@ -48,8 +48,7 @@ class TrackParameters:
     # Maximum change of a pair relative to that quantile: bounds the time until a hidden LED is noticed
     max_change: float = 2.0
     # Errors of the pose beyond the noise of pixels, from simulations at other seeds than those of tests:
-    # response time of the size in packets, as the headers show the size once a packet, and uncertain part
-    response_packets: float = 0.85
+    # uncertain delay of the size in packets, as the headers show the size once a packet
     uncertain_packets: float = 0.45
     # part of 1 - correlation^2 of the sums that equal LEDs leave
     equal_residual: float = 6e-4

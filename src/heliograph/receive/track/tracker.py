@@ -64,8 +64,7 @@ class Tracker:
         prior = Fit(np.concatenate([mean, predicted.tilt]), covariance, track.gain)
         shining = track.shining
         if header is not None and pair.combination is None:
-            left = self._header_residue(predicted, pair, corner, total.shape, header * shining)
-            total = total - track.data_gain * left
+            total = total - track.data_gain * self._half_change(predicted, pair, corner, total.shape, header * shining)
         fit_sum = partial(
             fit_array, total, corner, prior, shining, panel=True, open_pixels=open_pixels, smear=self._smear(predicted)
         )
@@ -97,8 +96,10 @@ class Tracker:
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
         mean, covariance = state.expected(kalman.HEADER_OBSERVATION)
         prior = Fit(np.append(mean, state.tilt), block_diag(covariance, state.tilt_covariance))
-        lit, smear = weights * track.shining, self._smear(state)
-        fit = fit_array(up - down, corner, prior, lit, PARAMETERS.pair_steps, smear=smear)
+        lit, smear, difference = weights * track.shining, self._smear(state), up - down
+        if pair.combination is None:
+            difference = difference - track.data_gain * self._half_change(state, pair, corner, up.shape, track.shining)
+        fit = fit_array(difference, corner, prior, lit, PARAMETERS.pair_steps, smear=smear)
         # a half hidden header has more
         if fit.score < 0.6:
             return track
@@ -121,13 +122,16 @@ class Tracker:
             return replace(track.state, time_s=time_s)
         return track.state.predict(time_s, self._model)
 
-    def _header_residue(
-        self, predicted: PoseState, pair: FramePair, corner: tuple[int, int], shape: tuple[int, int], header: Floats
+    def _half_change(
+        self, state: PoseState, pair: FramePair, corner: tuple[int, int], shape: tuple[int, int], light: Floats
     ) -> Floats:
-        """Return the residue of a header in the sum of a moving array, for a gain of 1."""
-        # A_1 Y + A_2 (1 - Y) = (A_1 + A_2) / 2 + (A_1 - A_2) (Y - 1/2), Y being the header
+        """Return half the change of an image of LEDs from the first frame to the second, for a gain of 1.
+
+        With images A_1 and A_2 of the LEDs, a header w = 2 y - 1 has the sum (A_1 + A_2) / 2 + (A_1 - A_2) w / 2
+        and the difference (A_1 + A_2) w / 2 + (A_1 - A_2) / 2.
+        """
         first, second = (
-            image_of(header, predicted.pose_at(frame.time_s), corner, shape) for frame in (pair.pattern, pair.inverted)
+            image_of(light, state.pose_at(frame.time_s), corner, shape) for frame in (pair.pattern, pair.inverted)
         )
         return 0.5 * (first - second)
 
