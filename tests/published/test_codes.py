@@ -1,5 +1,6 @@
 """Channel codes of standards: conventions, tables and error correction."""
 
+import hashlib
 import sys
 
 import numpy as np
@@ -12,6 +13,7 @@ from heliograph.cli.measure import codes
 from heliograph.experiments.code_errors import count_blocks, draw
 from heliograph.published.codes import LdpcCode, _bcjr, _lift, encode_lifted, parity_matrix, table
 from heliograph.published.polar import PolarCode, Segment, crc
+from heliograph.published.polar_kernels import decode_lists
 from heliograph.signal.code import CODES, Code
 
 LIBRARIES = {"turbo": "numpy", "ldpc-nr": "ldpc", "ldpc-wifi": "ldpc", "polar-nr": "numpy", "convolutional": "komm"}
@@ -90,6 +92,28 @@ def test_ldpc_codewords_meet_the_checks(standard: str, k: int) -> None:
     shared.setdiag(0)
     # lifting sizes below the largest of a set have cycles of length 4
     assert (shared.max() == 1) == (k in (512, 600))
+
+
+@pytest.mark.parametrize(
+    ("code", "digest"), [(LdpcCode("nr", 560, 3440), "f521c89000a6bdd8"), (PolarCode(40, 863), "ed501cd10e1885fb")]
+)
+def test_codewords_equal_those_of_py3gpp(code: Code, digest: str) -> None:
+    word = code.encode((np.arange(code.k) ** 2 // 7 % 2).astype(np.uint8))
+    assert hashlib.sha256(np.packbits(word).tobytes()).hexdigest()[:16] == digest
+
+
+def test_list_of_one_path_errs_as_often_as_successive_cancellation_of_komm() -> None:
+    komm = pytest.importorskip("komm")
+    segment, rng = Segment(53, 128), np.random.default_rng(1)
+    snr = 10**-0.2
+    llr = (4 * snr * (1 + rng.standard_normal((1000, 128)) / np.sqrt(2 * snr))).astype(np.float32)
+    own = decode_lists(llr, segment.frozen, 1)[:, 0][:, ~segment.frozen]
+    other = komm.SCDecoder(komm.PolarCode(7, np.flatnonzero(segment.frozen)), output_type="hard").decode(llr)
+    wrong, wrong_of_other = own.any(axis=1).sum(), np.asarray(other).any(axis=1).sum()
+    assert wrong_of_other > 300
+    # min-sum against exact LLRs
+    assert abs(int(wrong) - int(wrong_of_other)) < 0.1 * wrong_of_other
+    assert segment.decode(llr).any(axis=1).sum() < 0.5 * wrong
 
 
 def test_polar_order_is_a_permutation_by_weight_at_its_ends() -> None:
