@@ -213,8 +213,11 @@ class Sample:
 
 
 @lru_cache(maxsize=64)
-def _spread(side: int, width: float) -> tuple[Pixels32, Pixels32, Pixels32]:
-    """Return B, the derivative of B by the place, and the weights of the least squares, for a blur in cells."""
+def _spread(side: int, width: float) -> tuple[Pixels32, Pixels32, Pixels32, float]:
+    """Return B, the derivative S of B by the place, the weights W of the least squares, and the visible part of S.
+
+    Levels of cells fitted at a wrong place explain a part of the shift: (I - B W) S of S remains in the residual.
+    """
     cells, s = side + 2 * RIM_CELLS, samples_per_cell(side)
     at = (np.arange(cells * s) + 0.5) / s
     edge = np.arange(cells + 1.0)
@@ -229,7 +232,8 @@ def _spread(side: int, width: float) -> tuple[Pixels32, Pixels32, Pixels32]:
     # loading: cells may be smaller than the blur
     gram = b.T @ b
     weights = np.linalg.solve(gram + 1e-3 * s * np.eye(cells), b.T)
-    return b.astype(np.float32), slope.astype(np.float32), weights.astype(np.float32)
+    visible = float((((slope - b @ (weights @ slope)) ** 2).sum()) / (slope**2).sum())
+    return b.astype(np.float32), slope.astype(np.float32), weights.astype(np.float32), visible
 
 
 def _resample(part: Pixels32, homography: Floats, side: int) -> Pixels32:
@@ -257,7 +261,9 @@ def reduced(image: Pixels32, factor: int) -> Pixels32:
     return np.asarray(cv2.resize(cut, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _step(samples: Pixels32, b: Pixels32, slope: Pixels32, x: Pixels32, side: int, held: float) -> Floats:
+def _step(
+    samples: Pixels32, b: Pixels32, slope: Pixels32, x: Pixels32, visible: float, side: int, held: float
+) -> Floats:
     """Return a small homography in cells to reduce the residual, (3, 3)."""
     s = samples_per_cell(side)
     # every other sample of many cells: eight values need no more
@@ -275,7 +281,7 @@ def _step(samples: Pixels32, b: Pixels32, slope: Pixels32, x: Pixels32, side: in
     # weights of the shape of the array in the last frame
     hold = held * np.array([0, 0.03, 0.03, 0, 0.03, 0.03, 0.2, 0.2]) * (gram[0, 0] + gram[3, 3]) / 2
     # the image moves opposite to the place
-    p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual.ravel()))
+    p = np.linalg.solve(gram + np.diag(hold) + 1e-12 * np.eye(8), -(rows @ residual.ravel())) / visible
     p = p / max(1.0, float(np.abs(p).max()) / 0.7)
     a, bb, c, d, e, f, g, h = p
     centred = np.array([[1 + bb / side, c / side, a], [e / side, 1 + f / side, d], [-g / side**2, -h / side**2, 1]])
@@ -306,7 +312,7 @@ class CellTracker:
         # blur of the lens, and of pixel and bilinear interpolation in px: sqrt(1/12 + 1/12)
         width = float(np.hypot(np.hypot(self._blur_px, 0.4) / place.cell_px(side), 0.35 / s))
         # sharper edges than 0.05 cells fall between samples
-        b, slope, weights = _spread(side, round(max(width, 0.05), 2))
+        b, slope, weights, visible = _spread(side, round(max(width, 0.05), 2))
         start = place
         for step in range(max_steps + 1):
             homography = part_place.homography @ np.linalg.solve(start.homography, place.homography)
@@ -314,9 +320,9 @@ class CellTracker:
             x = np.asarray(weights @ samples @ weights.T, np.float32)
             if step == max_steps:
                 break
-            delta = _step(samples, b, slope, x, side, held)
+            delta = _step(samples, b, slope, x, visible, side, held)
             place = Place(place.homography @ delta)
-            if np.abs(delta - np.eye(3))[:2].max() < 0.01:
+            if np.abs(delta - np.eye(3))[:2].max() < 0.03:
                 break
         # a step costs 3000 samples more
         self._budget.spend((step + 1) * (samples.size + 3000) + PIXEL_SAMPLES * part.size)

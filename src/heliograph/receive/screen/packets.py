@@ -29,24 +29,26 @@ def solve_pairs(
     frames, n = len(samples.times_s), light.shape[-1]
     pairs = clock.pairs(samples.times_s, samples.rows)
     w = samples.weights / samples.weights.mean() * weights
-    y = light.reshape(frames, -1).T  # (cells, frames)
-    # cells of a group of rows share the times
-    at = samples.times_s + clock.row_s * samples.rows.reshape(frames, -1).T
-    change, variance = np.empty((2, len(pairs), n * n))
-    mean, residual = np.empty(n * n), np.empty((frames, n * n))
-    order = np.argsort(at[:, 0], kind="stable")
-    for group in np.array_split(order, max(n, 2 * PARAMETERS.row_bins)):
-        m = np.concatenate([np.ones((frames, 1)), clock.design(at[group].mean(0), pairs)], axis=1)
+    rows = samples.rows.reshape(frames, -1)
+    order = np.argsort(rows[0], kind="stable")
+    rows, y = rows[:, order], light.reshape(frames, -1)[:, order]
+    # mean light and changes of the pairs; variances of both
+    x, variance, residual = (np.empty((count, n * n)) for count in (len(pairs) + 1, len(pairs) + 1, frames))
+    # cells of a group of rows share the times: 1 to 2 ms of readout
+    size = -(-n * n // min(max(n, 2 * PARAMETERS.row_bins), 4 * PARAMETERS.row_bins))
+    for group in (slice(start, start + size) for start in range(0, n * n, size)):
+        at = samples.times_s + clock.row_s * rows[:, group].mean(1)
+        m = np.concatenate([np.ones((frames, 1)), clock.design(at, pairs)], axis=1)
         mw = m * w[:, None]
         loading = 1e-3 * 2 * frames / len(pairs) * np.eye(len(pairs) + 1)
         loading[0, 0] = 0
         inverse = np.linalg.inv(mw.T @ m + loading)
-        x = inverse @ (mw.T @ y[group].T)
-        mean[group], change[:, group] = x[0], x[1:]
-        variance[:, group] = np.diag(inverse)[1:, None]
-        residual[:, group] = y[group].T - m @ x
-    change, variance, residual = (values.reshape(-1, n, n) for values in (change, variance, residual))
-    return (pairs, change, variance, mean.reshape(n, n)), residual
+        x[:, group] = inverse @ (mw.T @ y[:, group])
+        variance[:, group] = np.diag(inverse)[:, None]
+        residual[:, group] = y[:, group] - m @ x[:, group]
+    back = np.argsort(order)
+    x, variance, residual = (values[:, back].reshape(-1, n, n) for values in (x, variance, residual))
+    return (pairs, x[1:], variance[1:], x[0]), residual
 
 
 def solve_with_gains(samples: Samples, clock: Clock) -> PairSolution:
