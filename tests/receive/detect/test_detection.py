@@ -81,7 +81,7 @@ def test_frames_are_cropped_to_the_common_part_and_gaps_stay() -> None:
 def test_copies_stand_for_the_frames_before_a_film() -> None:
     buffer, header = FrameWindowBuffer(16, 100), range(16)
     windows = [window for k in (*header, *range(16, 22)) for window, _ in buffer.push(frame(5 + k, 0, 0, 4, 4))]
-    # every window begins with a pattern of an even number, the first with copies of the film's first frame
+    # every second start is searched, the first with copies of the film's first frame
     starts = [[one and (one.index, one.time_s) for one in window[:3]] for window in windows]
     assert starts[0] == [(3, 0.005), (4, 0.005), (5, 0.005)]
     assert starts[1:] == [[(k, 1e-3 * k) for k in (first, first + 1, first + 2)] for first in (5, 7)]

@@ -13,7 +13,7 @@ from heliograph.receive.screen import locate
 from heliograph.receive.screen.cells import PARAMETERS, SAMPLES_PER_S, CellTracker, Place, Sample, SearchBudget
 from heliograph.receive.screen.locate import ArraySearch, Candidate, find_quadrilaterals, mean_change, reduce_frame
 
-SIDE = 16
+SIDE, MIDDLE = 16, np.array([8.0, 8.0])
 LINEAR = (np.arange(256) / 255).astype(np.float32)
 CORNERS = np.array([[60.0, 41.0], [225.0, 50.0], [216.0, 212.0], [52.0, 203.0]])
 
@@ -33,9 +33,9 @@ def drawn(cells: Floats, corners: Floats = CORNERS, blur: float = 1.0) -> Pixels
     return out
 
 
-def fitted(pixels: Pixels, corners: Floats, steps: int) -> Sample:
+def fitted(pixels: Pixels, corners: Floats, steps: int, blur: float = 1.0) -> Sample:
     place = Place.of(corners, SIDE)
-    return CellTracker(SIDE, 1.0, LINEAR, SearchBudget(), place).fit(Frame(0, 0.0, pixels), place, steps)
+    return CellTracker(SIDE, blur, LINEAR, SearchBudget(), place).fit(Frame(0, 0.0, pixels), place, steps)
 
 
 def test_cells_are_measured_at_a_known_place() -> None:
@@ -49,6 +49,17 @@ def test_cells_are_measured_at_a_known_place() -> None:
 def test_place_is_fitted_from_half_a_cell_away(off: tuple[float, float]) -> None:
     seen = fitted(drawn(levels(2)), CORNERS + off, 10)
     assert np.abs(seen.place.corners(SIDE) - CORNERS).max() < 0.5
+
+
+@pytest.mark.parametrize("px", [1.6, 2.5, 5.0, 10.0])
+def test_two_steps_remove_most_of_an_offset(px: float) -> None:
+    corners = (CORNERS - 40) * px / 10 + 40
+    errors = []
+    for seed in range(8):
+        start, blur = corners + np.array([0.3, -0.2]) * px, min(1.0, 0.3 * px)
+        seen = fitted(drawn(levels(seed), corners, blur), start, 2, blur)
+        errors.append(np.abs(seen.place.at(MIDDLE) - Place.of(corners, SIDE).at(MIDDLE)).max() / px)
+    assert np.median(errors) < 0.04
 
 
 def test_blocks_of_many_cells_are_fitted_from_two_cells_away() -> None:

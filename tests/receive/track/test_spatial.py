@@ -77,3 +77,13 @@ def test_bench_counts_the_packets_whose_region_holds_the_truth(focal_m: float) -
     counts = run_block(load_settings("static", None, changes), 9)
     is_right = focal_m == 0.035
     assert (counts.posed, counts.covered_positions, counts.covered_poses) == (1, is_right, is_right)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed_m_s", [6.94, -6.94])
+def test_tilt_of_a_crossing_array_is_right(speed_m_s: float) -> None:
+    """Half of the motion between a header and its inverse would look like a tilt of 2 to 5 degrees."""
+    array = {"x_m": -speed_m_s / 2, "vx_m_s": speed_m_s, "yaw_deg": 20.0}
+    counts = run_block(load_settings("crossing", {"channel": {"arrays": [array], "duration_s": 0.5}}), 9)
+    assert counts.posed >= 3
+    assert counts.covered_poses >= counts.posed - 1

@@ -147,15 +147,16 @@ class PacketDecoder:
     """
 
     def __init__(self, name: str | None = None):
-        self._name = name or uuid4().hex
-        if name is None:
-            finalize(self, _ended.append, self._name)
+        self._name, self._is_shared = name or uuid4().hex, False
         self._led_gains: dict[ArrayKey, LedGains] = {}
         # by identity, not by array: after a loss and a new detection the carousel goes on
         self._buffers: dict[tuple[int, Orientation], SoftBuffer] = {}
         self._learn: Callable[[], LedGains | None] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
+        if not self._is_shared:
+            self._is_shared = True
+            finalize(self, _ended.append, self._name)
         return _local_decoder, (self._name,)
 
     def decode(self, packet: PacketObservations, array: ArrayKey, lacks_pair: bool = False) -> Decoded:
@@ -185,7 +186,7 @@ class PacketDecoder:
         return led_gains and _remember(self._led_gains, array, led_gains, MAX_ARRAYS).without_evidence
 
 
-_ended = deque[str]()  # names of decoders that this process no longer holds
+_ended = deque[str]()  # names of pickled decoders that no longer exist here
 _local_decoders: dict[str, PacketDecoder] = {}  # by name, of decoders that another process holds
 
 
@@ -248,8 +249,9 @@ def call_in_process(call: Callable[..., Result], /, *args: Any) -> Future[Result
 def _submit(call: Callable[..., Result], /, *args: Any) -> Future[Result]:
     process = _process()
     _register(process, registered())
-    while _ended:
-        process.submit(_forget, _ended.popleft())
+    with contextlib.suppress(IndexError):
+        while True:
+            process.submit(_forget, _ended.popleft())
     return process.submit(call, *args)
 
 

@@ -216,7 +216,8 @@ class Sample:
 def _spread(side: int, width: float) -> tuple[Pixels32, Pixels32, Pixels32, float]:
     """Return B, the derivative S of B by the place, the weights W of the least squares, and the visible part of S.
 
-    Levels of cells fitted at a wrong place explain a part of the shift: (I - B W) S of S remains in the residual.
+    Levels of cells fitted at a wrong place explain a part of the shift: (I - B W) S of S remains in the residual. Below
+    0.4 neighbours of equal levels explain less.
     """
     cells, s = side + 2 * RIM_CELLS, samples_per_cell(side)
     at = (np.arange(cells * s) + 0.5) / s
@@ -233,7 +234,7 @@ def _spread(side: int, width: float) -> tuple[Pixels32, Pixels32, Pixels32, floa
     gram = b.T @ b
     weights = np.linalg.solve(gram + 1e-3 * s * np.eye(cells), b.T)
     visible = float((((slope - b @ (weights @ slope)) ** 2).sum()) / (slope**2).sum())
-    return b.astype(np.float32), slope.astype(np.float32), weights.astype(np.float32), visible
+    return b.astype(np.float32), slope.astype(np.float32), weights.astype(np.float32), max(visible, 0.4)
 
 
 def _resample(part: Pixels32, homography: Floats, side: int) -> Pixels32:

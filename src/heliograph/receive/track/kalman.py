@@ -35,8 +35,8 @@ class MotionModel:
 
         White accelerations of density q = 2 a^2 tau give q [[dt^3 / 3, dt^2 / 2], [dt^2 / 2, dt]].
         """
-        # the second derivative of ln pitch is 5e-7 per pattern squared by 30 km/h at 12 m; tau, 4 patterns, is half a
-        # period of shake at 125 Hz
+        # the second derivative of ln pitch is 5e-7 per pattern squared by braking at 6 m/s^2 at 12 m; tau, 4 patterns,
+        # is half a period of shake at 125 Hz
         a = np.array([self.acceleration_px, self.acceleration_px, 5e-7]) / self.period_s**2
         q, place, rate = 2 * 4 * self.period_s * a**2, [0, 1, 2], [5, 6, 7]
         linear, quadratic, cubic = np.zeros((3, STATE_SIZE, STATE_SIZE))

@@ -175,13 +175,13 @@ def power_around(change, noise, x, y, axes, width, side):
 
 @compiled()
 def predict(mean, covariance, dt, linear, quadratic, cubic):
-    """Predict a state at a later time: F x, F P F^T + Q, where F adds dt times the rates to x, y and ln pitch.
+    """Predict a state at a later time: F x + e, F P F^T + Q, where F adds dt times the rates to x, y and ln pitch.
 
-    At a constant speed v, the rate r = v / Z of ln pitch rises by r^2 per second.
+    At a constant speed v, the rate r = v / Z of ln pitch becomes r / (1 - r dt): e, bounded for long gaps.
     """
     x, p = mean.copy(), covariance.copy()
-    rise = dt * x[7] ** 2
-    x[2] += 0.5 * dt * rise
+    part = min(max(dt * x[7], -0.5), 0.5)
+    x[2] -= math.log(1.0 - part) + part
     for k in range(3):
         x[k] += dt * x[5 + k]
         for n in range(x.size):
@@ -191,7 +191,7 @@ def predict(mean, covariance, dt, linear, quadratic, cubic):
             p[n, k] += dt * p[n, 5 + k]
         for k in range(x.size):
             p[n, k] += dt * (linear[n, k] + dt * (quadratic[n, k] + dt * cubic[n, k]))
-    x[7] += rise
+    x[7] /= 1.0 - part
     return x, p
 
 
