@@ -108,5 +108,4 @@ def _cancel_neighbours(symbols: Floats, light: Floats) -> Floats:
 
 def _mean_by_kind(values: Floats) -> Floats:
     """Mean over the quads of all pairs (pairs, symbols), for each quad, (symbols,)."""
-    kinds = values.reshape(len(values), 4, -1).mean((0, 2))
-    return np.repeat(kinds, values.shape[1] // 4)
+    return np.repeat(values.reshape(len(values), 4, -1).mean((0, 2)), values.shape[1] // 4)

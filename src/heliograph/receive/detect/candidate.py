@@ -160,8 +160,7 @@ def is_tracked(start: Pose, tracked: Sequence[Pose], side: int) -> bool:
 def are_disjoint(a: Pose, b: Pose, side: int) -> bool:
     """Return True if two arrays do not overlap; parts of a header look like smaller arrays."""
     # |a - b| > (n p_a + n p_b) / 2, less a tenth for the errors of the poses
-    reach = 0.45 * side * (a.pitch + b.pitch)
-    return bool(np.hypot(a.x - b.x, a.y - b.y) > reach)
+    return bool(np.hypot(a.x - b.x, a.y - b.y) > 0.45 * side * (a.pitch + b.pitch))
 
 
 def estimate_drift(

@@ -95,8 +95,7 @@ class Detection:
     def is_certain(self) -> bool:
         """True if the header is clear, no cell is hidden or dark, and one upright array has this header."""
         # a hidden cell leaves at most 0.968, and turned arrays are rare
-        is_unique = not self.alternatives and self.orientation == UPRIGHT
-        return self.is_clear and self.score >= 0.985 and is_unique
+        return self.is_clear and self.score >= 0.985 and not self.alternatives and self.orientation == UPRIGHT
 
     def in_view(self, view: View) -> "Detection":
         """Return the detection in the coordinates of a view."""

@@ -135,5 +135,4 @@ def header_amplitudes(frames: Sequence[AnyFrame], pose: Pose, weights: Floats) -
     window = window_around(pose, weights.shape[0], 1.0)
     model = image_of(weights, pose, window[:2], window[:1:-1]).ravel()
     shape = model - model.mean()
-    products = np.array([cut_out(frame, window).ravel() @ shape for frame in frames])
-    return products / max(float(shape @ shape), TINY)
+    return np.array([cut_out(frame, window).ravel() @ shape for frame in frames]) / max(float(shape @ shape), TINY)
