@@ -29,7 +29,7 @@ def plot_rates(
     """Plot an error rate of a sweep over a key, a line for each layer and combination of the other keys.
 
     The colour is that of the layer, dashes and marker are those of the other keys. Measured rates have 95 % intervals.
-    A marker with an arrow is an upper bound for zero errors, and joins no line. A cross at the lower edge marks a point
+    An arrow is an upper bound for zero errors, 3 / n, and joins no line. A cross at the lower edge marks a point
     with no received packet. Behind rates after the decoder, a dotted line is the bit error rate without a code.
 
     Parameters
@@ -133,8 +133,7 @@ def _line(axes: "Axes", part: Any, rate: str, key: str, label: str, colour: str,
     errors = [(y - low)[measured], (high - y)[measured]]
     axes.errorbar(x[measured], y[measured], errors, fmt="none", ecolor=colour, lw=1, alpha=0.4)
     if bounds.any():
-        y = high[bounds]
-        axes.errorbar(x[bounds], y, 0.4 * y, uplims=True, ls="none", elinewidth=0.8, **style).lines[0].set_gid(BOUND)
+        axes.plot(x[bounds], high[bounds], ls="none", gid=BOUND, **style | {"marker": ARROW, "ms": style["ms"] + 3})
     if (~found).any():
         edge = np.full((~found).sum(), 0.02)
         axes.plot(x[~found], edge, "x", color="k", gid=MISSED, transform=axes.get_xaxis_transform())
