@@ -127,7 +127,16 @@ def searched(
 ) -> NDArray[np.float64]:
     best, sums, limits = np.zeros((grid.count, 5)), alternation.integral_images(image), (grid.contrast, grid.threshold)
     places = grid.ring, grid.step, np.array(corner)
-    args = CELLS, grid.sides, (*limits, 2.0, grid.apart), *places, 0, 1 << 60, best
+    args = (
+        CELLS,
+        np.ascontiguousarray(CELLS.T, np.float32),
+        grid.sides,
+        (*limits, 2.0, grid.apart),
+        *places,
+        0,
+        1 << 60,
+        best,
+    )
     found, _, passed, _ = kernels.search(sums, busy, *args)
     assert passed == busy.size
     return best[:found]

@@ -123,9 +123,11 @@ def cleared(
     pose: Pose, light: Floats, usual: Floats | None = None, visible: Floats = ALL_ON, gain: float = GAIN
 ) -> tuple[Floats, Floats]:
     """Return uncovered LEDs and the updated line baselines."""
-    clear, lines = np.ones((SIDE, SIDE)), np.full((2, SIDE + 2), np.nan) if usual is None else usual.copy()
+    lines = np.full((2, SIDE + 2), np.nan) if usual is None else usual.copy()
     middle, away = np.array([pose.x, pose.y]), visibility.line_distance(pose, SIDE)
-    kernels.uncover(2 * 255 * light, middle, pose.axes, away, PARAMETERS.min_line_change * gain, visible, lines, clear)
+    least = PARAMETERS.min_line_change * gain
+    clear, covers = kernels.uncover(2 * 255 * light, middle, pose.axes, away, least, visible, 0.5, lines)
+    assert covers == (not clear.all())
     return clear, lines
 
 

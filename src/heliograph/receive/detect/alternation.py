@@ -239,9 +239,9 @@ def coarse_search(
     limits = contrast, parameters.coarse_score, max_imbalance, min_distance
     # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
     grid, corner = 0.1, np.array(change.origin, np.float64)
-    images = integral_images(change.pixels)
+    images, columns = integral_images(change.pixels), np.ascontiguousarray(cells.T, np.float32)
     count, work, passed, compared = kernels.search(
-        images, busy, cells, sides, limits, DETECT.ring, grid, corner, begin, int(max_work), best
+        images, busy, cells, columns, sides, limits, DETECT.ring, grid, corner, begin, int(max_work), best
     )
     return best[:count], work, passed, compared
 

@@ -150,15 +150,15 @@ def _max_product(columns, sums, dots):
 
 
 @compiled()
-def search(integrals, busy, cells, sides, limits, ring_width, grid, corner, begin, max_work, best):
+def search(integrals, busy, cells, columns, sides, limits, ring_width, grid, corner, begin, max_work, best):
     """Correlate an alternation with all headers over scale and position; return counts, and candidates in `best`.
 
+    `cells` (headers, 16) are the templates in float64, `columns` (16, headers) the same in float32.
     `limits` are contrast, correlation, imbalance and distance.
     """
     images, (contrast, threshold, _, _) = (integrals[0], integrals[1], integrals[2]), limits
     _, magnitude, square = images
     rows, cols = square.shape[0] - 1, square.shape[1] - 1
-    columns = np.ascontiguousarray(cells.T).astype(np.float32)
     memory = np.empty(5, np.int64), np.empty((3, 5)), np.empty(16), np.empty(cells.shape[0], np.float32)
     found = np.int64(0)  # of a plain 0 a second `_keep` would be compiled
     # in places compared, 6 ns each: sums over pixels; then exact sums, sums over cells, and headers by stages passed

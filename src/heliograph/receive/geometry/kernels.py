@@ -1,5 +1,6 @@
 """Compiled kernels: images of LEDs, small linear systems, medians, and the Gauss-Newton fit of a pose.
 
+Loops replace array expressions and assignments of slices, which take ten times as long to compile.
 `tests/oracles/render_oracle.py` and `fit_oracle.py` state the same in plain NumPy.
 """
 
@@ -303,7 +304,10 @@ def median(values: NDArray[np.float64]) -> float:
     if values.shape[0] % 2:
         return upper
     # all values before the middle are smaller or equal
-    return 0.5 * (values[:middle].max() + upper)
+    lower = values[0]
+    for k in range(1, middle):
+        lower = max(lower, values[k])
+    return 0.5 * (lower + upper)
 
 
 @compiled()
@@ -332,7 +336,9 @@ def smallest(values: NDArray[np.float64], middle: int) -> float:
 @compiled()
 def near(vector, anchor, side):
     """True if images at an anchor pose, moved by their slopes, stand for a pose."""
-    step = vector - anchor[: vector.size]
+    step = np.empty(vector.size)
+    for k in range(vector.size):
+        step[k] = vector[k] - anchor[k]
     # both are False for a pose that is not a number
     return _rim_px(step, step.size, vector, side) < 0.1 and abs(step[4]) < 0.02
 
@@ -346,14 +352,16 @@ def shift(vector, shapes, drawn):
             for i in range(shapes.shape[2]):
                 for j in range(shapes.shape[3]):
                     shapes[n, 0, i, j] += step * shapes[n, k, i, j]
-    drawn[: vector.size] = vector
+    for k in range(vector.size):
+        drawn[k] = vector[k]
 
 
 @compiled()
 def draw(vector, open_pixels, scene, images):
     """Draw the array and squares around it at a pose, the new anchor."""
     (corner, weights, margins, resolved, smear), (shapes, anchor, drawn) = scene, images
-    anchor[: vector.size] = drawn[: vector.size] = vector
+    for k in range(vector.size):
+        anchor[k] = drawn[k] = vector[k]
     half = 0.5 * weights.shape[0]
     if resolved:
         render(vector, weights, corner[0], corner[1], shapes[0], smear[0], smear[1])
@@ -361,8 +369,11 @@ def draw(vector, open_pixels, scene, images):
         render_box(vector, half, corner[0], corner[1], shapes[0], smear[0], smear[1])
     for k in range(margins.shape[0]):
         render_box(vector, half + margins[k], corner[0], corner[1], shapes[k + 1], smear[0], smear[1])
-    if open_pixels.size:
-        shapes *= open_pixels
+    for n in range(shapes.shape[0]):
+        for k in range(shapes.shape[1]):
+            for i in range(open_pixels.shape[0]):
+                for j in range(open_pixels.shape[1]):
+                    shapes[n, k, i, j] *= open_pixels[i, j]
 
 
 @compiled()
@@ -377,7 +388,10 @@ def fit(image, plane, open_pixels, scene, expected, steps, vector, images):
     invert(covariance, precision)
     size = free + shapes.shape[0] + 3
     matrix, rhs = np.empty((size, size)), np.empty(size)
-    residual = np.empty(image.shape)
+    residual, hidden = np.empty(image.shape), 0.0
+    for i in range(open_pixels.shape[0]):
+        for j in range(open_pixels.shape[1]):
+            hidden += 1.0 - open_pixels[i, j]
     if near(vector, anchor, len(weights)):
         shift(vector, shapes, drawn)
     else:
@@ -388,10 +402,11 @@ def fit(image, plane, open_pixels, scene, expected, steps, vector, images):
         # Tukey's biweight of 95 % efficiency
         rough = 4.685 * _noise_of(residual, open_pixels)
         mass, loss = normal_equations(residual, shapes, plane, linear, rough, matrix, rhs)
-        mass -= (1.0 - open_pixels).sum()
-        noise = max(loss / max(mass - size, 1.0), LEAST_VARIANCE)
-        rhs /= noise
-        matrix /= noise
+        noise = max(loss / max(mass - hidden - size, 1.0), LEAST_VARIANCE)
+        for k in range(size):
+            rhs[k] /= noise
+            for n in range(size):
+                matrix[k, n] /= noise
         # (J^T W J + P^-1) step = J^T W r + P^-1 (theta_0 - theta), and the same for the gain
         for k in range(free):
             for n in range(free):
@@ -405,7 +420,8 @@ def fit(image, plane, open_pixels, scene, expected, steps, vector, images):
         _load(matrix, 1e-9)
         step = rhs.copy()
         solve(matrix, step)
-        linear += step[free:]
+        for k in range(free, size):
+            linear[k - free] += step[k]
         pitch = math.exp(vector[2])
         for k in range(free):
             limit = max(FIT.max_step_px, 0.5 * pitch) if k < 2 else FIT.max_steps[k - 2]
@@ -428,7 +444,7 @@ def _coefficients(image, shapes, plane, gain):
     size = m + 3
     products, values = np.zeros((size + 1, size + 1)), rows_for_products(size + 1, cols)
     for i in range(image.shape[0]):
-        _copy_images(shapes, plane, i, values, 0)
+        _copy_images(shapes, plane, i, values, np.int64(0))  # a plain 0 would compile a second version
         for j in range(cols):
             values[size, j] = image[i, j]
         add_products(values, values, cols, products)
@@ -446,7 +462,7 @@ def _coefficients(image, shapes, plane, gain):
 
 @compiled()
 def _copy_images(shapes, plane, row, out, first):
-    """Copy a row of pixels of the images to rows of `out`; loops compile faster than the assignment of rows."""
+    """Copy a row of pixels of the images to rows of `out`."""
     for n in range(shapes.shape[0]):
         for j in range(out.shape[1]):
             out[first + n, j] = shapes[n, 0, row, j]

@@ -12,31 +12,33 @@ LINE_RATE, COVERED_LINE_RATE = 0.1, 0.02
 
 
 @compiled()
-def preview(up, down, middle, axes, before, lines, parameters):
+def preview(difference, total, middle, axes, before, lines, parameters):
     """Measure noise, recent changes and covered LEDs of a pair before the fit; renews `lines`.
 
-    Returns difference, sum, noise, recent changes, uncovered LEDs, and whether any LED is covered.
+    Returns noise, recent changes, uncovered LEDs, and whether any LED is covered.
     """
     edge, width, bright, min_power, max_change, rate, min_visible, away, min_line_change = parameters
-    difference, total, uncovered = up - down, up + down, np.ones(before.shape)
     noise = noise_outside(difference, middle[0], middle[1], edge)
     around = power_around(difference, noise, middle[0], middle[1], axes, width, before.shape[0])
     after = recent_change(before, around, min_power, bright, max_change, rate)
-    uncover(total, middle, axes, away, min_line_change, after >= min_visible, lines, uncovered)
-    return difference, total, noise, after, uncovered, not uncovered.all()
+    uncovered, covers = uncover(total, middle, axes, away, min_line_change, after, min_visible, lines)
+    return noise, after, uncovered, covers
 
 
 @compiled()
-def uncover(image, middle, axes, away, least, visible, usual, uncovered):
-    """Mark LEDs that an object from a side covers, and renew the usual levels of the lines."""
-    side = visible.shape[0]
+def uncover(image, middle, axes, away, least, change, min_visible, usual):
+    """Mark LEDs that an object from a side covers, and renew the usual levels of the lines.
+
+    Returns 1 for each uncovered LED, and whether any LED is covered.
+    """
+    side = change.shape[0]
     levels, across, sorted_levels = np.empty(side + 2), np.empty(side), np.empty(side)
     hidden, covered = np.empty((2, side + 2), np.bool_), np.zeros((2, side + 2), np.bool_)
     for k in range(side):
         column, row = 0.0, 0.0
         for n in range(side):
-            column += visible[n, k]
-            row += visible[k, n]
+            column += change[n, k] >= min_visible
+            row += change[k, n] >= min_visible
         # a line with less than half of the LEDs visible is hidden
         hidden[0, k + 1], hidden[1, k + 1] = column < 0.5 * side, row < 0.5 * side
     for axis in range(2):
@@ -54,17 +56,21 @@ def uncover(image, middle, axes, away, least, visible, usual, uncovered):
             continue
         _medians(image, middle, axes, axis, away, across, count, sorted_levels, levels)
         if math.isnan(usual[axis, 0]):
-            usual[axis] = levels
+            for k in range(side + 2):
+                usual[axis, k] = levels[k]
             continue
         _cover(levels, usual, least, hidden, covered, axis)
         for k in range(side + 2):
             # hidden LEDs return unchanged
             rate = 0.0 if hidden[axis, k] else COVERED_LINE_RATE if covered[axis, k] else LINE_RATE
             usual[axis, k] += rate * (levels[k] - usual[axis, k])
+    uncovered, covers = np.empty((side, side)), False
     for i in range(side):
         for j in range(side):
-            if covered[0, j + 1] or covered[1, i + 1]:
-                uncovered[i, j] = 0.0
+            behind = covered[0, j + 1] or covered[1, i + 1]
+            uncovered[i, j] = 0.0 if behind else 1.0
+            covers = covers or behind
+    return uncovered, covers
 
 
 @compiled()
@@ -137,7 +143,16 @@ def power_within(change, x, y, most):
 @compiled()
 def recent_change(before, around, least, bright, most, rate):
     """Update the recent change of each LED by the power of one pair around it, relative to bright LEDs."""
-    return before + rate * (np.minimum(around / max(smallest(around.flatten(), bright), least), most) - before)
+    side = before.shape[0]
+    levels, after = np.empty(side * side), np.empty((side, side))
+    for u in range(side):
+        for v in range(side):
+            levels[u * side + v] = around[u, v]
+    usual = max(smallest(levels, bright), least)
+    for u in range(side):
+        for v in range(side):
+            after[u, v] = before[u, v] + rate * (min(around[u, v] / usual, most) - before[u, v])
+    return after
 
 
 @compiled()

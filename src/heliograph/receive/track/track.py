@@ -232,8 +232,8 @@ def preview_pair(
         line_distance(pose, side),
         parameters.min_line_change * light,
     )
-    shown = kernels.preview(up, down, middle, pose.axes, track.change, lines, limits)
-    difference, total, noise, change, clear, covered = shown
+    difference, total = up - down, up + down
+    noise, change, clear, covered = kernels.preview(difference, total, middle, pose.axes, track.change, lines, limits)
     clear = clear if covered else None
     return difference, total, noise, replace(track, change=change, pairs=track.pairs + 1, lines=lines, clear=clear)
 
