@@ -170,7 +170,10 @@ def _add_led(
     (a, b), (level, late, spread), (homography, drift, eye) = place, lit, maps
     (pitch, radius, order), (focal, blur), points, rest, table = optics
     # equation (6): the homography of the temporal centroid of the light
-    h = homography + late * drift
+    h = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            h[i, j] = homography[i, j] + late * drift[i, j]
     z = h[2, 0] * a + h[2, 1] * b + h[2, 2]
     x, y = (h[0, 0] * a + h[0, 1] * b + h[0, 2]) / z, (h[1, 0] * a + h[1, 1] * b + h[1, 2]) / z
     # Jacobian and image velocity in px/s

@@ -8,6 +8,7 @@ from typing import Any
 from heliograph.base.errors import HeliographError, counted
 from heliograph.base.files import clear_write_errors
 from heliograph.cli import console, options
+from heliograph.cli.first_use import compile_ahead
 from heliograph.cli.options import option
 from heliograph.cli.simulate import load_scene
 from heliograph.experiments.demo import film_bytes, run
@@ -31,6 +32,7 @@ def demo(
         kind = "street-night" if settings.preset == "night" else "street"
         settings = settings.changed([f"channel.background.kind='{kind}'"])
     link, recordings = load_scene(settings, scene)
+    compile_ahead()
     is_new, film = not output.exists(), output / "drive.mp4"
     with clear_write_errors(output):
         output.mkdir(parents=True, exist_ok=True)

@@ -22,6 +22,7 @@ from heliograph.base.errors import HeliographError, MediaError, counted
 from heliograph.base.files import clear_write_errors, write_whole
 from heliograph.cli import console, options
 from heliograph.cli.files import FileOutput, join
+from heliograph.cli.first_use import compile_ahead
 from heliograph.cli.live import FilmMonitor, monitored, open_events, open_logs
 from heliograph.cli.options import ReceiveOptions, WorkerOptions, option
 from heliograph.link.film import packet_row
@@ -116,6 +117,7 @@ def _receive_single(film: Path, request: ReceiveOptions, truth_path: Path | None
         raise MediaError("the truth describes complete frames: leave out --crop, --bin and --rotate, or --truth")
     truth = open_truth(truth_path) if truth_path else None
     cv2.setNumThreads(1)  # a second thread is not faster for small images
+    compile_ahead()
     report: Row = {"film": str(film)}
     try:
         with open_film(film, **request.film.keywords(), **request.live.keywords(film)) as source:

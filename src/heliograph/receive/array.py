@@ -212,13 +212,9 @@ class ArrayReceiver:
         # a pair's sum shows all LEDs; data without inverses need decisions
         tracker: Tracker | DecisionDirectedTracker = self._tracker
         if self._is_single:
-            track = self._track
+            track, late_s = self._track, (pair.late_s, data_late_s(self._signal))
             self._decisions = tracker = self._decisions or DecisionDirectedTracker(
-                self._tracker,
-                (pair.late_s, data_late_s(self._signal)),
-                self._headers.pairs,
-                track.data_gain,
-                track.shining,
+                self._tracker, late_s, self._headers.pairs, track.data_gain, track.shining
             )
         tracked = tracker.follow(self._track, pair)
         self._record_pair(pair, tracked)

@@ -238,10 +238,10 @@ def coarse_search(
     max_imbalance = 2.0 if cells.sum(axis=1).any() else max_imbalance
     limits = contrast, parameters.coarse_score, max_imbalance, min_distance
     # step of the places as a fraction of the side: half a step costs a fifth of a cell's overlap
-    grid, corner = 0.1, np.array(change.origin, np.float64)
+    places = DETECT.ring, 0.1, np.array(change.origin, np.float64), begin, int(max_work)
     images, columns = integral_images(change.pixels), np.ascontiguousarray(cells.T, np.float32)
     count, work, passed, compared = kernels.search(
-        images, busy, cells, columns, sides, limits, DETECT.ring, grid, corner, begin, int(max_work), best
+        images, np.ascontiguousarray(busy), cells, columns, sides, limits, *places, best
     )
     return best[:count], work, passed, compared
 

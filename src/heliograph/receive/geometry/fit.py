@@ -72,12 +72,8 @@ class RenderCache:
         # 1 % of a blur of 0.6 px
         if not same or wider > 0.005:
             self._shapes, self._corner, self._smear, self._weights = np.empty(shape), corner, smear, weights
-            self.forget()
+            self.anchor.fill(np.nan)  # the next fit renders the images
         return self._shapes
-
-    def forget(self) -> None:
-        """Make the next fit render the images."""
-        self.anchor.fill(np.nan)
 
 
 def fit_array(
@@ -101,24 +97,17 @@ def fit_array(
     if open_pixels is not None:
         # a pixel that is 0 in all images has no effect
         image, background = image * open_pixels, background * open_pixels
-    drawn = RenderCache() if drawn is None else drawn
+        background.flags.writeable = False  # as that of `plane`: another type would compile a second kernel
+    # images are 0 in hidden pixels, which differ from pair to pair
+    drawn = RenderCache() if drawn is None or open_pixels is not None else drawn
     shapes = drawn.images(corner, smear, weights, (1 + len(margins), 1 + free, *image.shape))
-    if open_pixels is not None:
-        # images are 0 in hidden pixels, which differ from pair to pair
-        drawn.forget()
     vector = (prior.vector if start is None else start).copy()
+    mask = np.empty((0, 0)) if open_pixels is None else _contiguous(open_pixels)
+    scene = np.array(corner, np.float64), _contiguous(weights), margins, resolved, np.array(smear, np.float64)
+    expected = _contiguous(prior.vector), _contiguous(prior.covariance), float(prior.gain)
     covariance, linear, score = kernels.fit(
-        _contiguous(image),
-        background,
-        np.empty((0, 0)) if open_pixels is None else _contiguous(open_pixels),
-        (np.array(corner, np.float64), _contiguous(weights), margins, resolved, np.array(smear, np.float64)),
-        (_contiguous(prior.vector), _contiguous(prior.covariance), float(prior.gain)),
-        iterations,
-        vector,
-        (shapes, drawn.anchor, drawn.at),
+        _contiguous(image), background, mask, scene, expected, iterations, vector, (shapes, drawn.anchor, drawn.at)
     )
-    if open_pixels is not None:
-        drawn.forget()
     if not all(map(isfinite, linear.tolist())):
         raise np.linalg.LinAlgError("the fit of an array's pose has no solution")
     return Fit(vector, covariance, float(linear[0]), float(score))

@@ -304,10 +304,7 @@ def median(values: NDArray[np.float64]) -> float:
     if values.shape[0] % 2:
         return upper
     # all values before the middle are smaller or equal
-    lower = values[0]
-    for k in range(1, middle):
-        lower = max(lower, values[k])
-    return 0.5 * (lower + upper)
+    return 0.5 * (smallest(values[:middle], middle - 1) + upper)
 
 
 @compiled()
@@ -388,10 +385,7 @@ def fit(image, plane, open_pixels, scene, expected, steps, vector, images):
     invert(covariance, precision)
     size = free + shapes.shape[0] + 3
     matrix, rhs = np.empty((size, size)), np.empty(size)
-    residual, hidden = np.empty(image.shape), 0.0
-    for i in range(open_pixels.shape[0]):
-        for j in range(open_pixels.shape[1]):
-            hidden += 1.0 - open_pixels[i, j]
+    residual = np.empty(image.shape)
     if near(vector, anchor, len(weights)):
         shift(vector, shapes, drawn)
     else:
@@ -399,10 +393,10 @@ def fit(image, plane, open_pixels, scene, expected, steps, vector, images):
     linear = _coefficients(image, shapes, plane, gain)
     for _ in range(steps):
         residuals(image, shapes, plane, linear, residual)
+        noise, count = _noise_of(residual, open_pixels)
         # Tukey's biweight of 95 % efficiency
-        rough = 4.685 * _noise_of(residual, open_pixels)
-        mass, loss = normal_equations(residual, shapes, plane, linear, rough, matrix, rhs)
-        noise = max(loss / max(mass - hidden - size, 1.0), LEAST_VARIANCE)
+        mass, loss = normal_equations(residual, shapes, plane, linear, 4.685 * noise, matrix, rhs)
+        noise = max(loss / max(mass - (residual.size - count) - size, 1.0), LEAST_VARIANCE)
         for k in range(size):
             rhs[k] /= noise
             for n in range(size):
@@ -523,7 +517,7 @@ def residuals(image, shapes, plane, linear, out):
 
 @compiled()
 def _noise_of(residual, open_pixels):
-    """Estimate the standard deviation of residuals in open pixels from the median magnitude."""
+    """Estimate the standard deviation of residuals in open pixels from the median magnitude; also count the pixels."""
     sizes, count = np.empty(residual.size), 0
     for i in range(residual.shape[0]):
         for j in range(residual.shape[1]):
@@ -531,7 +525,7 @@ def _noise_of(residual, open_pixels):
                 sizes[count] = abs(residual[i, j])
                 count += 1
     # median |x| / Phi^-1(3/4), and the largest error of rounding at least
-    return max(1.4826 * median(sizes[:count]), 0.5) if count else 0.5
+    return max(1.4826 * median(sizes[:count]), 0.5) if count else 0.5, count
 
 
 @compiled()

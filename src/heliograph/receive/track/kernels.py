@@ -15,14 +15,13 @@ LINE_RATE, COVERED_LINE_RATE = 0.1, 0.02
 def preview(difference, total, middle, axes, before, lines, parameters):
     """Measure noise, recent changes and covered LEDs of a pair before the fit; renews `lines`.
 
-    Returns noise, recent changes, uncovered LEDs, and whether any LED is covered.
+    Returns noise, recent changes, and the result of `uncover`.
     """
     edge, width, bright, min_power, max_change, rate, min_visible, away, min_line_change = parameters
     noise = noise_outside(difference, middle[0], middle[1], edge)
     around = power_around(difference, noise, middle[0], middle[1], axes, width, before.shape[0])
     after = recent_change(before, around, min_power, bright, max_change, rate)
-    uncovered, covers = uncover(total, middle, axes, away, min_line_change, after, min_visible, lines)
-    return noise, after, uncovered, covers
+    return noise, after, uncover(total, middle, axes, away, min_line_change, after, min_visible, lines)
 
 
 @compiled()
@@ -67,9 +66,8 @@ def uncover(image, middle, axes, away, least, change, min_visible, usual):
     uncovered, covers = np.empty((side, side)), False
     for i in range(side):
         for j in range(side):
-            behind = covered[0, j + 1] or covered[1, i + 1]
-            uncovered[i, j] = 0.0 if behind else 1.0
-            covers = covers or behind
+            uncovered[i, j] = 0.0 if covered[0, j + 1] or covered[1, i + 1] else 1.0
+            covers = covers or uncovered[i, j] == 0.0
     return uncovered, covers
 
 
@@ -143,16 +141,11 @@ def power_within(change, x, y, most):
 @compiled()
 def recent_change(before, around, least, bright, most, rate):
     """Update the recent change of each LED by the power of one pair around it, relative to bright LEDs."""
-    side = before.shape[0]
-    levels, after = np.empty(side * side), np.empty((side, side))
-    for u in range(side):
-        for v in range(side):
-            levels[u * side + v] = around[u, v]
-    usual = max(smallest(levels, bright), least)
-    for u in range(side):
-        for v in range(side):
-            after[u, v] = before[u, v] + rate * (min(around[u, v] / usual, most) - before[u, v])
-    return after
+    was, power, after = before.ravel(), around.ravel(), np.empty(before.size)
+    usual = max(smallest(power.copy(), bright), least)
+    for k in range(after.size):
+        after[k] = was[k] + rate * (min(power[k] / usual, most) - was[k])
+    return after.reshape(before.shape)
 
 
 @compiled()

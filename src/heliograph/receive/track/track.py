@@ -233,8 +233,8 @@ def preview_pair(
         parameters.min_line_change * light,
     )
     difference, total = up - down, up + down
-    noise, change, clear, covered = kernels.preview(difference, total, middle, pose.axes, track.change, lines, limits)
-    clear = clear if covered else None
+    noise, change, (clear, covers) = kernels.preview(difference, total, middle, pose.axes, track.change, lines, limits)
+    clear = clear if covers else None
     return difference, total, noise, replace(track, change=change, pairs=track.pairs + 1, lines=lines, clear=clear)
 
 

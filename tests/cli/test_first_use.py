@@ -1,0 +1,51 @@
+import json
+import multiprocessing
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from heliograph.cli import first_use
+
+# a reception after the compilation ahead; prints the names of its kernels that compile or load more versions
+RECEPTION = """
+import json, sys
+from pathlib import Path
+from numba.core.dispatcher import Dispatcher
+from heliograph.cli import first_use, main
+
+def versions():
+    modules = [module for name, module in sys.modules.items() if name.startswith("heliograph.") and "kernels" in name]
+    return {name: len(kernel.signatures) for m in modules for name, kernel in vars(m).items() if isinstance(kernel, Dispatcher)}
+
+first_use.begin_worker = lambda: None
+first_use.compile_kernels()
+before = versions()
+sys.argv = ["heliograph", "receive", sys.argv[1]]
+main.app(standalone_mode=False)
+changed = [name for name, count in versions().items() if before.get(name) and count != before[name]]
+Path("changed.json").write_text(json.dumps([changed, sorted(name for name, count in before.items() if count)]))
+"""
+
+
+def test_a_reception_uses_the_kernels_compiled_ahead(tmp_path: Path) -> None:
+    """Other types of an argument would compile a second version of the kernel."""
+    film, heliograph = tmp_path / "film.mp4", [sys.executable, "-m", "heliograph"]
+    subprocess.run([*heliograph, "simulate", film, "--set", "channel.duration_s=0.12"], check=True)
+    subprocess.run([sys.executable, "-c", RECEPTION, film], check=True, cwd=tmp_path, stdout=subprocess.DEVNULL)
+    changed, ahead = json.loads((tmp_path / "changed.json").read_text())
+    assert not changed
+    assert {"fit", "preview", "condition", "iterate", "mother_posterior", "footprints"} <= set(ahead)
+
+
+def test_kernels_are_compiled_ahead_only_with_an_empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(first_use, "cache_folder", lambda: tmp_path)
+    (tmp_path / "kernel.nbi").touch()
+    first_use.compile_ahead()
+    assert not multiprocessing.active_children()
+    (tmp_path / "kernel.nbi").unlink()
+    first_use.compile_ahead()
+    (process,) = multiprocessing.active_children()
+    process.terminate()
+    process.join()
