@@ -87,3 +87,10 @@ def test_tilt_of_a_crossing_array_is_right(speed_m_s: float) -> None:
     counts = run_block(load_settings("crossing", {"channel": {"arrays": [array], "duration_s": 0.5}}), 9)
     assert counts.posed >= 3
     assert counts.covered_poses >= counts.posed - 1
+
+
+def test_saturated_pixels_do_not_enlarge_an_array() -> None:
+    """A low sun saturates the brightest pixels, which would bring the array 1 to 2 % closer."""
+    settings = load_settings("static", {"channel": {"distance_m": 60.0, "weather": {"glare": 0.3}}})
+    counts = run_block(settings, 9, max_packets=2)
+    assert counts.covered_positions == counts.posed == 2

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from heliograph.base.arrays import TINY, Floats
@@ -57,9 +58,8 @@ def spatial_poses(time_s: float, fit: Fit, calibration: CalibrationSettings) -> 
 
 def fit_with_all_errors(track: Track, packet_s: float) -> Fit:
     """Return the tracked pose and the tilt, with the errors of the model."""
-    state, pose, covariance = track.state, track.state.pose, np.zeros((7, 7))
-    covariance[:POSE_SIZE, :POSE_SIZE] = state.covariance[:POSE_SIZE, :POSE_SIZE]
-    covariance[POSE_SIZE:, POSE_SIZE:] = state.tilt_covariance
+    state, pose = track.state, track.state.pose
+    covariance = block_diag(state.covariance[:POSE_SIZE, :POSE_SIZE], state.tilt_covariance)
     unequal = np.sqrt(max(1 - track.score**2 - PARAMETERS.equal_residual, 0.0))
     # resolved LEDs show the light of each
     resolution = pose.pitch * (1 + 0.36 * (pose.pitch / pose.blur) ** 2)

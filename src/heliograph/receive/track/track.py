@@ -55,8 +55,8 @@ class TrackParameters:
     # errors of x and y in px, by perspective and by combined frames
     position_error_px: float = 0.02
     # errors of x and y in px, and of ln pitch, roll, stretch and shear, relative to the light of unequal LEDs
-    position_error: float = 0.2
-    shape_errors: tuple[float, ...] = (0.03, 0.06, 0.0, 0.025, 0.025)
+    position_error: float = 0.8
+    shape_errors: tuple[float, ...] = (0.05, 0.15, 0.0, 0.07, 0.07)
 
 
 PARAMETERS = TrackParameters()

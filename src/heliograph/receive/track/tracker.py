@@ -99,14 +99,16 @@ class Tracker:
         lit, smear, difference = weights * track.shining, self._smear(state), up - down
         if pair.combination is None:
             difference = difference - track.data_gain * self._half_change(state, pair, corner, up.shape, track.shining)
-        fit = fit_array(difference, corner, prior, lit, PARAMETERS.pair_steps, smear=smear)
+        # saturated pixels flatten the array and would enlarge the pitch, but most of an overexposed array is saturated
+        is_full = np.maximum(up, down) >= pair.pattern.full_scale
+        open_pixels = 1.0 - is_full if 0.0 < is_full.mean() < 0.5 else None
+        fit = fit_array(difference, corner, prior, lit, PARAMETERS.pair_steps, smear=smear, open_pixels=open_pixels)
         # a half hidden header has more
         if fit.score < 0.6:
             return track
-        posterior = fit.covariance[:POSE_SIZE, :POSE_SIZE]
-        state = state.condition(fit.vector[:POSE_SIZE], posterior, kalman.HEADER_OBSERVATION)
-        tilt_covariance = fit.covariance[POSE_SIZE:, POSE_SIZE:]
-        state = replace(state, tilt=fit.vector[POSE_SIZE:], tilt_covariance=tilt_covariance)
+        vector, errors = fit.vector, fit.covariance
+        state = state.condition(vector[:POSE_SIZE], errors[:POSE_SIZE, :POSE_SIZE], kalman.HEADER_OBSERVATION)
+        state = replace(state, tilt=vector[POSE_SIZE:], tilt_covariance=errors[POSE_SIZE:, POSE_SIZE:])
         return replace(track, state=state, data_gain=fit.gain)
 
     def is_visible(self, track: Track, pair: FramePair, fit: Fit) -> bool:
@@ -207,8 +209,7 @@ def widen_covariance(covariance: Floats) -> Floats:
 def _coast(before: Track, track: Track) -> TrackedPair:
     """Return a pair with a hidden array at the predicted pose."""
     state = track.state
-    vector = np.append(state.mean[:POSE_SIZE], state.tilt)
-    fit = Fit(vector, state.covariance[:POSE_SIZE, :POSE_SIZE], track.gain, 0.0)
+    fit = Fit(np.append(state.mean[:POSE_SIZE], state.tilt), state.covariance[:POSE_SIZE, :POSE_SIZE], track.gain, 0.0)
     return TrackedPair(before, track, fit, seen=False)
 
 
