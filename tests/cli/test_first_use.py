@@ -17,7 +17,8 @@ from heliograph.cli import first_use, main
 
 def versions():
     modules = [module for name, module in sys.modules.items() if name.startswith("heliograph.") and "kernels" in name]
-    return {name: len(kernel.signatures) for m in modules for name, kernel in vars(m).items() if isinstance(kernel, Dispatcher)}
+    kernels = {name: value for module in modules for name, value in vars(module).items()}
+    return {name: len(value.signatures) for name, value in kernels.items() if isinstance(value, Dispatcher)}
 
 first_use.begin_worker = lambda: None
 first_use.compile_kernels()

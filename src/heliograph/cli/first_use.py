@@ -16,8 +16,9 @@ from heliograph.signal.turbo.code import TurboCode
 
 
 def compile_ahead() -> None:
-    """Compile the kernels that a reception needs last in a second process, unless the cache has kernels."""
-    if (os.cpu_count() or 1) > 1 and not any(cache_folder().rglob("*.nbi")):
+    """Compile the kernels that a reception needs last in a second process, if the cache is empty and writable."""
+    folder = cache_folder()
+    if (os.cpu_count() or 1) > 1 and os.access(folder, os.W_OK) and not any(folder.rglob("*.nbi")):
         with worker_environment():
             multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True).start()
 

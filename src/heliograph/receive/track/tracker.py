@@ -101,7 +101,7 @@ class Tracker:
             difference = difference - track.data_gain * self._half_change(state, pair, corner, up.shape, track.shining)
         # saturated pixels flatten the array and would enlarge the pitch, but most of an overexposed array is saturated
         is_full = np.maximum(up, down) >= pair.pattern.full_scale
-        open_pixels = 1.0 - is_full if 0.0 < is_full.mean() < 0.5 else None
+        open_pixels = np.where(is_full, 0.0, 1.0) if 0.0 < is_full.mean() < 0.5 else None
         fit = fit_array(difference, corner, prior, lit, PARAMETERS.pair_steps, smear=smear, open_pixels=open_pixels)
         # a half hidden header has more
         if fit.score < 0.6:
