@@ -25,6 +25,7 @@ def stock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("stock")
     for name, content in {
         "text.mkv": b"this is no film\n",
+        "text.tif": b"this is no film\n",
         "bad.toml": b"a = [\n",
         "binary.toml": b"\xff\xfe\x00",
         "unknown.toml": b"[channel]\ndistanse_m = 3\n",
@@ -52,7 +53,7 @@ S, LONGER = (" ".join(lasting(seconds)) for seconds in (0.01, 0.1))
 BAD = {
     # films to read
     "receive {}/text.mkv --output out": "text.mkv is not a video",
-    "receive {}/missing.mkv --output out": "there is no file",
+    "receive {}/missing.mkv --output out": "there is no file", "receive {}/text.tif": "cannot be read as TIFF",
     # settings
     "simulate a.mkv --preset papre": "did you mean 'paper'", "presets papre": "did you mean 'paper'",
     "simulate a.mkv --set channel.distanse_m=3": "did you mean 'channel.distance_m'",
@@ -102,7 +103,8 @@ BAD = {
     "transmit a.npy --file {}/file --file-code magic": "cauchy, raptorq",
     "transmit a.npy --file {}/file --high x --middle x --low x": "leave out",
     "transmit a.npy --junction {}/junction.toml": "junction.toml: ",
-    "transmit a.npy --junction none.toml": "cannot read the settings none.toml",
+    "transmit a.npy --junction none.toml": "settings none.toml: No such file or directory; check the path",
+    "--load none.py presets": "cannot load none.py: No such file or directory; check the path",
     f"transmit a.npy --junction {JUNCTION} --high x": "leave out --high",
     # parts of frames
     "receive {}/a.mkv --crop 1,2,3": "a crop is x, y, width and height",

@@ -91,7 +91,7 @@ def load_parts(file: Path | str) -> None:
     try:
         source = read_bounded(Path(file), 1 << 24)
     except OSError as error:
-        raise SettingsError(f"cannot load {file}: {error.strerror or error}") from None
+        raise SettingsError(f"cannot load {file}: {error.strerror or error}; check the path") from None
     if str(path.parent) not in sys.path:
         sys.path.insert(0, str(path.parent))
     # files with equal names in different folders are different modules

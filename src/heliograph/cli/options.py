@@ -390,7 +390,7 @@ def read_toml(file: Path) -> dict[str, Any]:
         # all settings with comments have 12 kB; some editors write a byte order mark
         return parse_toml(read_bounded(file, 1 << 20).decode("utf-8-sig"))
     except OSError as error:
-        raise SettingsError(f"cannot read the settings {file}: {error.strerror}") from None
+        raise SettingsError(f"cannot read the settings {file}: {error.strerror}; check the path") from None
     except UnicodeDecodeError:
         raise SettingsError(f"the settings {file} are no text; write TOML in UTF-8") from None
     except SettingsError as error:

@@ -178,11 +178,11 @@ class TiffReader(TimedReader):
 
     def __init__(self, path: Path, reading: Reading) -> None:
         super().__init__(path, reading)
-        self._number_frames()
         with _Stack(path) as stack:
             stack.check_axes()
             first, self.bits = stack.first_levels(self._channel)
             self.frame_count = stack.count()
+        self._number_frames()
         self.height, self.width = first.shape
 
     def _pictures(self) -> Iterator[tuple[float, Pixels, int]]:
