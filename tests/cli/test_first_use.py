@@ -33,19 +33,24 @@ Path("changed.json").write_text(json.dumps([changed, sorted(name for name, count
 def test_a_reception_uses_the_kernels_compiled_ahead(tmp_path: Path) -> None:
     """Other types of an argument would compile a second version of the kernel."""
     film, heliograph = tmp_path / "film.mp4", [sys.executable, "-m", "heliograph"]
-    subprocess.run([*heliograph, "simulate", film, "--set", "channel.duration_s=0.12"], check=True)
+    subprocess.run(
+        [*heliograph, "simulate", film, "--set", "channel.duration_s=0.12", "--set", "channel.weather.glare=0.3"],
+        check=True,
+    )
     subprocess.run([sys.executable, "-c", RECEPTION, film], check=True, cwd=tmp_path, stdout=subprocess.DEVNULL)
     changed, ahead = json.loads((tmp_path / "changed.json").read_text())
     assert not changed
     assert {"fit", "preview", "condition", "iterate", "mother_posterior", "footprints"} <= set(ahead)
 
 
-def test_kernels_are_compiled_ahead_only_with_an_empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_are_compiled_ahead_unless_the_cache_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(first_use, "cache_folder", lambda: tmp_path)
-    (tmp_path / "kernel.nbi").touch()
+    monkeypatch.setattr(first_use, "cores", lambda: 2)
+    (tmp_path / "kernels.fit-1.py311.nbi").touch()
     first_use.compile_ahead()
     assert not multiprocessing.active_children()
-    (tmp_path / "kernel.nbi").unlink()
+    (tmp_path / "kernels.fit-1.py311.nbi").unlink()
+    (tmp_path / "kernels.warp-1.py311.nbi").touch()
     first_use.compile_ahead()
     (process,) = multiprocessing.active_children()
     process.terminate()

@@ -104,7 +104,7 @@ class _Compilation(event.Listener):
             self._announced = True
             uncached = "at each start: set NUMBA_CACHE_DIR to a writable folder"
             often = "first use only" if dispatcher.stats.cache_path else uncached
-            print(f"compiling for this computer, about 30 s ({often})", file=sys.stderr, flush=True)
+            print(f"compiling for this computer, up to a minute ({often})", file=sys.stderr, flush=True)
 
     def on_end(self, _: Any) -> None:
         if self._collecting.pop():

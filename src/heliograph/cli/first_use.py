@@ -1,5 +1,6 @@
 """Compilation on two cores at first use, as a process compiles a single function at a time."""
 
+import contextlib
 import multiprocessing
 import os
 
@@ -13,14 +14,16 @@ from heliograph.receive.geometry.pose import Pose
 from heliograph.receive.track.kalman import POSE, MotionModel, PoseState
 from heliograph.receive.track.track import Track, preview_pair
 from heliograph.signal.turbo.code import TurboCode
+from heliograph.sweeps.executors import cores
 
 
 def compile_ahead() -> None:
-    """Compile the kernels that a reception needs last in a second process, if the cache is empty and writable."""
+    """Compile the kernels that a reception needs last in a second process, unless they are cached or none can be."""
     folder = cache_folder()
-    if (os.cpu_count() or 1) > 1 and os.access(folder, os.W_OK) and not any(folder.rglob("*.nbi")):
-        with worker_environment():
-            multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True).start()
+    if cores() > 1 and os.access(folder, os.W_OK) and not any(folder.rglob("kernels.fit-*.nbi")):
+        process = multiprocessing.get_context("spawn").Process(target=compile_kernels, name="compiler", daemon=True)
+        with contextlib.suppress(OSError), worker_environment():
+            process.start()
 
 
 def compile_kernels() -> None:

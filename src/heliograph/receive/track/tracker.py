@@ -96,12 +96,12 @@ class Tracker:
         corner, up, down = _cut(pair, window_around(state.pose, self._side, _margin(state.pose)))
         mean, covariance = state.expected(kalman.HEADER_OBSERVATION)
         prior = Fit(np.append(mean, state.tilt), block_diag(covariance, state.tilt_covariance))
-        lit, smear, difference = weights * track.shining, self._smear(state), up - down
+        lit, smear, difference, open_pixels = weights * track.shining, self._smear(state), up - down, None
         if pair.combination is None:
             difference = difference - track.data_gain * self._half_change(state, pair, corner, up.shape, track.shining)
-        # saturated pixels flatten the array and would enlarge the pitch, but most of an overexposed array is saturated
-        is_full = np.maximum(up, down) >= pair.pattern.full_scale
-        open_pixels = np.where(is_full, 0.0, 1.0) if 0.0 < is_full.mean() < 0.5 else None
+            # saturated pixels flatten the array and would enlarge the pitch; an overexposed array has few others
+            is_full = np.maximum(up, down) >= pair.pattern.full_scale
+            open_pixels = np.where(is_full, 0.0, 1.0) if 0.0 < is_full.mean() < 0.5 else None
         fit = fit_array(difference, corner, prior, lit, PARAMETERS.pair_steps, smear=smear, open_pixels=open_pixels)
         # a half hidden header has more
         if fit.score < 0.6:
